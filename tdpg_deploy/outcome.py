@@ -40,7 +40,7 @@ class GraspOutcome:
 
     @property
     def success(self) -> Verdict:
-        """Agreement of the witnesses; one that saw nothing does not vote, contradiction is unknown."""
+        """What the witnesses agree on. One that saw nothing has no vote; contradiction is unknown."""
         witnesses = {self.held_by_width, self.gone_from_map} - {Verdict.UNKNOWN}
         return witnesses.pop() if len(witnesses) == 1 else Verdict.UNKNOWN
 
