@@ -1,0 +1,35 @@
+# Everything a clone needs: `make demo`, `make test`. See README.md.
+PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c '' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+export OMP_NUM_THREADS ?= 2
+
+.PHONY: setup demo test check lint types clean
+
+setup: .venv/ready
+
+.venv/ready: pyproject.toml constraints.txt tools/preflight.py
+	@test -n "$(PYTHON)" || { echo "No Python found. Install Python 3.11: apt install python3.11 python3.11-venv"; exit 1; }
+	@$(PYTHON) tools/preflight.py
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[real,dev]'
+	@touch $@
+
+demo: setup
+	$(BIN)/tdpg-run --objects 10 --seed 1 --out logs
+
+test: lint types
+	$(PYTEST)
+
+check: lint types  ## the quick loop, under a minute
+	$(PYTEST) -m "not slow"
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/mypy
+
+clean:
+	rm -rf .venv build *.egg-info

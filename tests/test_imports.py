@@ -1,0 +1,115 @@
+"""Who may import whom, read from the sources; and what a light command may load."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+OURS = ("tdpg_deploy", "calibration", "policies", "tools", "tests")
+
+FOUNDATION = [
+    "tdpg_deploy.errors",
+    "tdpg_deploy.geometry",
+    "tdpg_deploy.cell_config",
+    "tdpg_deploy.hal",
+]
+VALUES = ["policies.heightmap", "policies.primitives", "policies.policy", "policies.errors"]
+STEP = ["tdpg_deploy.plan", "tdpg_deploy.outcome"]
+
+# The first matching prefix rules. None: may import everything but what nobody may.
+MAY_IMPORT: dict[str, list[str] | None] = {
+    "policies": ["policies"],
+    "calibration": ["calibration", "tdpg_deploy"],
+    "tdpg_deploy.errors": [],
+    "tdpg_deploy.geometry": [],
+    "tdpg_deploy.cell_config": FOUNDATION,
+    "tdpg_deploy.hal": FOUNDATION,
+    "tdpg_deploy.plan": FOUNDATION + VALUES,
+    "tdpg_deploy.outcome": [],
+    "tdpg_deploy.kinematics": FOUNDATION,
+    "tdpg_deploy.perception": FOUNDATION + VALUES,
+    "tdpg_deploy.motion": [*FOUNDATION, *VALUES, *STEP, "tdpg_deploy.kinematics"],
+    "tdpg_deploy.safety": [*FOUNDATION, *STEP, "tdpg_deploy.kinematics"],
+    "tdpg_deploy.sim": [*FOUNDATION, "tdpg_deploy.sim", "tdpg_deploy.kinematics"],
+    "tdpg_deploy.drivers": [*FOUNDATION, "tdpg_deploy.drivers", "tdpg_deploy.kinematics"],
+    "tdpg_deploy.emulators": [
+        *FOUNDATION, "tdpg_deploy.emulators", "tdpg_deploy.sim", "tdpg_deploy.drivers",
+        "tdpg_deploy.kinematics",
+    ],
+    "tdpg_deploy": None,
+    "tools": None,
+    "tests": None,
+}  # fmt: skip
+NOBODY_MAY = {"tdpg_deploy.cli": ("tests",), "tools": ("tools", "tests"), "tests": ("tests",)}
+
+
+def modules() -> Iterator[tuple[str, Path]]:
+    for top in OURS:
+        for path in sorted((ROOT / top).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
+
+
+def our_imports(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [node.module or ""]
+        else:
+            continue
+        yield from (name for name in names if within(name, OURS))
+
+
+def within(name: str, prefixes: list[str] | tuple[str, ...]) -> bool:
+    return any(name == prefix or name.startswith(prefix + ".") for prefix in prefixes)
+
+
+def rule(module: str) -> list[str] | None:
+    prefix = max((p for p in MAY_IMPORT if within(module, [p])), key=len)
+    return MAY_IMPORT[prefix]
+
+
+@pytest.mark.parametrize(("module", "path"), list(modules()))
+def test_imports_go_in_one_direction(module: str, path: Path) -> None:
+    allowed = rule(module)
+    for name in our_imports(path):
+        for forbidden, exempt in NOBODY_MAY.items():
+            if within(name, [forbidden]):
+                own = within(module, [forbidden]) or within(module, exempt)
+                assert own, f"{module} imports {name}"
+        if allowed is not None:
+            assert within(name, allowed), f"{module} imports {name}; allowed: {allowed}"
+
+
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [
+        ("calibration", ["torch", "policies"]),
+        ("tdpg_deploy.cli.run", ["torch", "pybullet", "cv2", "numba", "scipy", "mcap"]),
+        ("tools.train.cli", ["torch", "pybullet", "cv2", "numba", "scipy", "mcap"]),
+    ],
+)
+def test_light_modules_stay_light(module: str, absent: list[str]) -> None:
+    code = f"import sys, {module}; print([m for m in {absent} if m in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_real_is_known_in_one_place() -> None:
+    """Only cell.open_cell branches on `real`; the command line only hands it on."""
+    readers = set()
+    for module, path in modules():
+        if not module.startswith(("tdpg_deploy", "policies", "calibration")):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Name) and node.id == "real":
+                readers.add(module)
+    assert readers <= {"tdpg_deploy.cell", "tdpg_deploy.cli.run"}
