@@ -1,0 +1,104 @@
+"""The paper's four metrics (section IV), with 95 % intervals: the one place that computes them.
+
+Every figure is given twice: over completed episodes, as the papers define it, and over all
+episodes, which does not forget the failures.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binomtest, bootstrap
+
+from tdpg_deploy.outcome import EndReason
+
+COMPLETED = (EndReason.CLEARED, EndReason.GOAL_REACHED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeRow:
+    """One episode, by what was measured. objects: how many there were at the start."""
+
+    scene: str
+    seed: int
+    reason: EndReason
+    objects: int
+    actions: int
+    grasps: int
+    grasp_successes: int
+
+    @property
+    def completed(self) -> bool:
+        return self.reason in COMPLETED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A mean and its 95 % interval; nan where no episode counts."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """grasp_success: mean over episodes of successful grasps / grasps.
+    action_efficiency: mean over episodes of objects / actions.
+    motions: mean number of actions."""
+
+    episodes: int
+    grasp_success: Estimate
+    action_efficiency: Estimate
+    motions: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metrics:
+    """completion: share of episodes that were completed (Wilson's interval).
+    of_completed: the papers' definition. of_all: every episode."""
+
+    completion: Estimate
+    of_completed: Figures
+    of_all: Figures
+    reasons: dict[EndReason, int]
+
+
+def evaluate(rows: Sequence[EpisodeRow]) -> Metrics:
+    """Metrics of a set of episodes. Raises ValueError for an empty set."""
+    if not rows:
+        raise ValueError("no episodes to evaluate")
+    completed = [row for row in rows if row.completed]
+    share = binomtest(len(completed), len(rows))
+    interval = share.proportion_ci(0.95, method="wilson")
+    return Metrics(
+        completion=Estimate(value=share.statistic, low=interval.low, high=interval.high),
+        of_completed=_figures(completed),
+        of_all=_figures(rows),
+        reasons=dict(Counter(row.reason for row in rows)),
+    )
+
+
+def _figures(rows: Sequence[EpisodeRow]) -> Figures:
+    return Figures(
+        episodes=len(rows),
+        grasp_success=_mean([row.grasp_successes / row.grasps for row in rows if row.grasps]),
+        action_efficiency=_mean([row.objects / row.actions for row in rows if row.actions]),
+        motions=_mean([float(row.actions) for row in rows]),
+    )
+
+
+def _mean(values: Sequence[float]) -> Estimate:
+    """Mean with a bootstrapped interval (BCa, 2,000 resamples, seeded)."""
+    if not values:
+        return Estimate(value=np.nan, low=np.nan, high=np.nan)
+    mean = float(np.mean(values))
+    if np.ptp(values) == 0:  # nothing to resample
+        return Estimate(value=mean, low=mean, high=mean)
+    interval = bootstrap(
+        (np.asarray(values),), np.mean, n_resamples=2000, rng=np.random.default_rng(0)
+    ).confidence_interval
+    return Estimate(value=mean, low=float(interval.low), high=float(interval.high))
