@@ -96,6 +96,14 @@ class WorkspaceSection(_Section):
     ] = (0.50, 0.0)
     table_z: Annotated[Metres, Field(ge=-1.0, le=0.5)] = -0.15
 
+    @property
+    def x_range(self) -> tuple[float, float]:
+        return self.center[0] - WORKSPACE_SIDE / 2, self.center[0] + WORKSPACE_SIDE / 2
+
+    @property
+    def y_range(self) -> tuple[float, float]:
+        return self.center[1] - WORKSPACE_SIDE / 2, self.center[1] + WORKSPACE_SIDE / 2
+
 
 class BinSection(_Section):
     """Where held objects are let go: the tool's place above the bin, out of the camera's way."""
@@ -151,6 +159,7 @@ class Limits(_Section):
     push_force: Annotated[Newtons, Field(ge=5, le=100)] = 50.0
     table_clearance: Annotated[Metres, Field(ge=0.001, le=0.05)] = 0.004
     travel_height: Annotated[Metres, Field(ge=0.1, le=0.5)] = 0.25
+    # How far around the workspace the table is known to be clear, so that a finger may go there.
     workspace_margin: Annotated[Metres, Field(ge=0, le=0.1)] = 0.0
     joint_range: tuple[Radians, Radians] = (-2 * np.pi, 2 * np.pi)
 
@@ -186,7 +195,7 @@ class CellConfig(_Section):
     @model_validator(mode="after")
     def _workspace_in_reach(self) -> CellConfig:
         x, y = self.workspace.center
-        half = 0.224
+        half = WORKSPACE_SIDE / 2
         farthest = float(np.hypot(abs(x) + half, abs(y) + half))
         if farthest > UR5_REACH:
             raise ValueError(
@@ -200,6 +209,7 @@ class CellConfig(_Section):
         return self.camera.X_base_camera.transform()
 
 
+WORKSPACE_SIDE = 0.448  # m, 224 pixels of 2 mm (paper, sections III and IV)
 UR5_REACH = 0.85  # m, UR5 user manual, "working radius"
 
 

@@ -97,6 +97,12 @@ def _wrapped(angle: Array) -> Array:
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
 
 
+def branch_of(q: Array) -> int:
+    """Which of the eight branches of `inverse_batch` the arm is in at q (6,) rad."""
+    branches = inverse_batch(forward_batch(q))
+    return int(np.nanargmin(np.abs(_wrapped(branches - q)).max(axis=-1)))
+
+
 def nearest(branches: Array, q: Array, joint_range: tuple[float, float]) -> Array | None:
     """The branch of (n, 6), each joint unwound by whole turns to within `joint_range`, whose
     most moved joint is closest to q (6,) rad; None when there is none. Branches of nan are

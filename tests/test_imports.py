@@ -34,7 +34,10 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "tdpg_deploy.outcome": [],
     "tdpg_deploy.kinematics": FOUNDATION,
     "tdpg_deploy.perception": FOUNDATION + VALUES,
-    "tdpg_deploy.motion": [*FOUNDATION, *VALUES, *STEP, "tdpg_deploy.kinematics"],
+    "tdpg_deploy.footprint": [*FOUNDATION, *VALUES],
+    "tdpg_deploy.motion": [
+        *FOUNDATION, *VALUES, *STEP, "tdpg_deploy.kinematics", "tdpg_deploy.footprint",
+    ],
     "tdpg_deploy.safety": [*FOUNDATION, *STEP, "tdpg_deploy.kinematics"],
     "tdpg_deploy.sim": [*FOUNDATION, "tdpg_deploy.sim", "tdpg_deploy.kinematics"],
     "tdpg_deploy.drivers": [*FOUNDATION, "tdpg_deploy.drivers", "tdpg_deploy.kinematics"],
@@ -62,7 +65,7 @@ def our_imports(path: Path) -> Iterator[str]:
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names = [node.module or ""]
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
             continue
         yield from (name for name in names if within(name, OURS))

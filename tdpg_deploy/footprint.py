@@ -1,0 +1,67 @@
+"""What the heightmap knows of the ground under a finger. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from policies.heightmap import SIZE, Heightmap
+from tdpg_deploy.geometry import Array
+
+_SPACING = 0.001  # m between samples: half a pixel, so that none is missed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rectangle:
+    """On the table, seen from above: centre in base (m), sides (m) along and across `yaw`."""
+
+    x: float
+    y: float
+    yaw: float
+    along: float
+    across: float
+
+    def points(self) -> tuple[Array, Array]:
+        """x, y in base (n,) of a grid that covers it, border included."""
+        u, v = np.meshgrid(_grid(self.along), _grid(self.across))
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return (self.x + c * u - s * v).ravel(), (self.y + s * u + c * v).ravel()
+
+
+def _grid(side: float) -> Array:
+    count = max(2, int(np.ceil(side / _SPACING)) + 1)
+    return np.linspace(-side / 2, side / 2, count, dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """highest: metres above the table, of what was seen; nan when nothing was.
+    unknown: share of the rectangle that was not seen, or lies beyond the known surroundings.
+    """
+
+    highest: float
+    unknown: float
+
+
+def ground_under(heightmap: Heightmap, rectangle: Rectangle, *, clear_margin: float) -> Ground:
+    """Outside of the map nothing is seen; for `clear_margin` metres around it the cell's owner
+    vouches that there is only table."""
+    x, y = rectangle.points()
+    row, col = heightmap.workspace.to_pixel(x, y)
+    inside = (row >= 0) & (row < SIZE) & (col >= 0) & (col < SIZE)
+    height: npt.NDArray[np.float32] = np.full(len(x), np.nan, np.float32)
+    height[inside] = heightmap.height[row[inside], col[inside]]
+    workspace = heightmap.workspace
+    vouched = (
+        ~inside
+        & (x >= workspace.x_min - clear_margin)
+        & (x <= workspace.x_max + clear_margin)
+        & (y >= workspace.y_min - clear_margin)
+        & (y <= workspace.y_max + clear_margin)
+    )
+    height[vouched] = 0.0
+    seen = np.isfinite(height)
+    highest = float(height[seen].max()) if seen.any() else float("nan")
+    return Ground(highest=highest, unknown=1.0 - float(seen.mean()))

@@ -1,0 +1,224 @@
+"""A push or a grasp, and what is known of the table -> a plan for a UR5 with a 2F-85. Pure.
+
+The tool frame lies between the *closed* finger tips, z down, x the closing direction. Fingers
+that open swing up: every height here is that of closed tips, the lowest they ever are.
+
+A plan is refused here only for want of knowledge, or of room; `safety.check` judges the rest.
+Landing on something is not refused: the descent stops on force, and a policy has to learn it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from policies.heightmap import Heightmap, Workspace
+from policies.primitives import Grasp, Primitive, Push
+from tdpg_deploy import kinematics
+from tdpg_deploy.cell_config import CellConfig
+from tdpg_deploy.errors import PlanRefused
+from tdpg_deploy.footprint import Ground, Rectangle, ground_under
+from tdpg_deploy.geometry import Array, Transform, top_down
+from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
+
+OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
+PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
+FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
+GRASP_DEPTH = 0.04  # m below the surface that is seen (VPG, robot.py)
+MAX_UNKNOWN = 0.1  # share of a footprint: stray lost pixels are noise, a shadow is not
+MIN_PUSH = 0.02  # m: less moves nothing
+LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough close to the base
+
+
+def plan_primitive(primitive: Primitive, heightmap: Heightmap, config: CellConfig) -> Plan:
+    """Steps that carry out `primitive` (base frame) from home and back.
+
+    Raises PlanRefused when the ground under a finger is unknown, the tool cannot get above
+    the spot, or no room is left for a push.
+    """
+    if not np.isfinite([primitive.x, primitive.y, primitive.z, primitive.yaw]).all():
+        raise PlanRefused(f"{primitive} is not finite: no surface was seen there")
+    if isinstance(primitive, Grasp):
+        return _plan_grasp(primitive, heightmap, config)
+    return _plan_push(primitive, heightmap, config)
+
+
+def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
+    limits, table_z = config.limits, config.workspace.table_z
+    for finger in grasp_footprints(grasp):
+        _require_known(
+            ground_under(heightmap, finger, clear_margin=limits.workspace_margin), finger
+        )
+
+    z = max(grasp.z - GRASP_DEPTH, table_z + limits.table_clearance)
+    q_above, yaw = _above(grasp.x, grasp.y, grasp.yaw, config)
+    at_bin = top_down(*config.bin.position, yaw)
+    return Plan(
+        primitive=grasp,
+        approach=(
+            _fingers("open", OPEN_WIDTH, config),
+            _joints("above", q_above, config),
+            _guarded("descend", top_down(grasp.x, grasp.y, z, yaw), limits.descend_force, config),
+            _fingers("close", 0.0, config),
+            _lift(grasp.x, grasp.y, yaw, config),
+        ),
+        delivery=(
+            _joints("over the bin", _joints_at("over the bin", at_bin, q_above, config), config),
+            _fingers("release", OPEN_WIDTH, config),
+        ),
+        retreat=(_joints("home", np.array(config.arm.home), config),),
+    )
+
+
+def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
+    limits, table_z = config.limits, config.workspace.table_z
+    start = push_footprint(push)
+    ground = ground_under(heightmap, start, clear_margin=limits.workspace_margin)
+    _require_known(ground, start)
+
+    length = push.length
+    notes: tuple[str, ...] = ()
+    room = room_ahead(push, heightmap.workspace)
+    if room < length:
+        if room < MIN_PUSH:
+            raise PlanRefused(
+                f"push from ({push.x:.3f}, {push.y:.3f}) m towards {np.degrees(push.yaw):.0f} deg "
+                f"has {room:.3f} m of room in the workspace, less than {MIN_PUSH} m"
+            )
+        notes = (f"push shortened from {push.length:.3f} to {room:.3f} m: the workspace ends",)
+        length = room
+
+    # Low enough to meet objects at their sides, yet above whatever the tips come down on.
+    z = table_z + max(ground.highest, 0.0) + limits.table_clearance
+    x_end, y_end = push.x + length * np.cos(push.yaw), push.y + length * np.sin(push.yaw)
+    # Closing direction across the travel: the two fingers side by side make a broad front.
+    q_above, yaw = _above(push.x, push.y, push.yaw + np.pi / 2, config)
+    return Plan(
+        primitive=push,
+        approach=(
+            _fingers("close", 0.0, config),
+            _joints("above", q_above, config),
+            _guarded("descend", top_down(push.x, push.y, z, yaw), limits.descend_force, config),
+            _guarded("push", top_down(x_end, y_end, z, yaw), limits.push_force, config),
+            _lift(x_end, y_end, yaw, config),
+        ),
+        retreat=(_joints("home", np.array(config.arm.home), config),),
+        notes=notes,
+    )
+
+
+# --- footprints -------------------------------------------------------------------------------
+
+
+def grasp_footprints(grasp: Grasp) -> tuple[Rectangle, Rectangle]:
+    """Where the two open fingers come down."""
+    offset = (OPEN_WIDTH + FINGER_DEPTH) / 2
+    c, s = np.cos(grasp.yaw), np.sin(grasp.yaw)
+    first, second = (
+        Rectangle(
+            x=grasp.x + side * c,
+            y=grasp.y + side * s,
+            yaw=grasp.yaw,
+            along=FINGER_DEPTH,
+            across=PAD_WIDTH,
+        )
+        for side in (offset, -offset)
+    )
+    return first, second
+
+
+def push_footprint(push: Push) -> Rectangle:
+    """Where the closed fingers come down, side by side across the travel."""
+    return Rectangle(x=push.x, y=push.y, yaw=push.yaw, along=PAD_WIDTH, across=2 * FINGER_DEPTH)
+
+
+def room_ahead(push: Push, workspace: Workspace) -> float:
+    """Metres from the start to the border of the workspace, in the direction of the push."""
+    room = np.inf
+    for position, direction, low, high in (
+        (push.x, np.cos(push.yaw), workspace.x_min, workspace.x_max),
+        (push.y, np.sin(push.yaw), workspace.y_min, workspace.y_max),
+    ):
+        if abs(direction) > 1e-9:
+            room = min(room, ((high if direction > 0 else low) - position) / direction)
+    return max(float(room), 0.0)
+
+
+def _require_known(ground: Ground, finger: Rectangle) -> None:
+    if ground.unknown > MAX_UNKNOWN:
+        raise PlanRefused(
+            f"{ground.unknown:.0%} of the ground under a finger at ({finger.x:.3f}, "
+            f"{finger.y:.3f}) m is unknown; at most {MAX_UNKNOWN:.0%} may be"
+        )
+
+
+# --- steps ------------------------------------------------------------------------------------
+
+
+def _above(x: float, y: float, yaw: float, config: CellConfig) -> tuple[Array, float]:
+    """Joints above a spot at travel height, and the yaw taken: the gripper is symmetric, so of
+    yaw and yaw + pi the one that turns the arm less from home."""
+    home = np.array(config.arm.home)
+    ways = [
+        (_joints_at("above", top_down(x, y, _travel_z(config), turned), home, config), turned)
+        for turned in (yaw, yaw + np.pi)
+    ]
+    return min(ways, key=lambda way: float(np.abs(way[0] - home).max()))
+
+
+def _joints_at(name: str, X_base_tool: Transform, q_near: Array, config: CellConfig) -> Array:
+    """Joints (6,) that reach the pose without leaving the branch (shoulder, wrist, elbow) of
+    home, so that no motion ever folds the arm over."""
+    X_tool_flange = config.arm.X_flange_tool.transform().inverse()
+    branches = kinematics.inverse_batch((X_base_tool @ X_tool_flange).as_matrix())
+    branch = kinematics.branch_of(np.array(config.arm.home))
+    q = kinematics.nearest(branches[[branch]], q_near, config.limits.joint_range)
+    if q is None:
+        raise _out_of_reach(name, X_base_tool)
+    return q
+
+
+def _out_of_reach(name: str, X_base_tool: Transform) -> PlanRefused:
+    x, y, z = X_base_tool.translation
+    return PlanRefused(
+        f'waypoint "{name}" ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach or of the joints\' '
+        "range; move the workspace closer or widen limits.joint_range"
+    )
+
+
+def _travel_z(config: CellConfig) -> float:
+    return config.workspace.table_z + config.limits.travel_height
+
+
+def _lift(x: float, y: float, yaw: float, config: CellConfig) -> MoveLinear:
+    return MoveLinear(
+        name="lift",
+        X_base_tool=top_down(x, y, _travel_z(config), yaw),
+        speed=min(LIFT_SPEED, config.limits.travel_speed),
+        acceleration=config.limits.acceleration,
+        stop_force=config.limits.push_force,
+    )
+
+
+def _guarded(name: str, X_base_tool: Transform, force: float, config: CellConfig) -> MoveLinear:
+    return MoveLinear(
+        name=name,
+        X_base_tool=X_base_tool,
+        speed=config.limits.contact_speed,
+        acceleration=config.limits.acceleration,
+        stop_force=force,
+    )
+
+
+def _joints(name: str, q: Array, config: CellConfig) -> MoveJoints:
+    return MoveJoints(
+        name=name,
+        q=q,
+        speed=config.limits.joint_speed,
+        acceleration=config.limits.joint_acceleration,
+    )
+
+
+def _fingers(name: str, width: float, config: CellConfig) -> MoveFingers:
+    return MoveFingers(
+        name=name, width=width, speed=config.gripper.speed, force=config.gripper.force
+    )
