@@ -1,0 +1,74 @@
+"""Entries -> steps. Pure, and lazy: it holds one step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from tdpg_deploy.episode_log.entries import Conclusion, Entry, Intent, Look, Refusal, Step
+from tdpg_deploy.errors import LogError
+from tdpg_deploy.hal import ArmState, GripperState
+from tdpg_deploy.outcome import Outcome
+
+
+@dataclass
+class _Open:
+    """A step of which more may come."""
+
+    look: Look | None = None
+    refusals: list[Refusal] = field(default_factory=list)
+    intent: Intent | None = None
+    arm_states: list[ArmState] = field(default_factory=list)
+    gripper_states: list[GripperState] = field(default_factory=list)
+    next_look: Look | None = None
+
+    def step(self, outcome: Outcome | None) -> Step:
+        return Step(
+            look=self.look,
+            refusals=tuple(self.refusals),
+            intent=self.intent,
+            arm_states=tuple(self.arm_states),
+            gripper_states=tuple(self.gripper_states),
+            next_look=self.next_look,
+            outcome=outcome,
+        )
+
+    def successor(self) -> _Open:
+        return _Open(look=self.next_look)
+
+    @property
+    def worth_telling(self) -> bool:
+        return self.intent is not None or bool(self.refusals)
+
+
+def group(entries: Iterable[Entry]) -> Iterator[Step]:
+    """Steps in order. If `entries` breaks off with a LogError, the step in progress comes first."""
+    current = _Open()
+    try:
+        for entry in entries:
+            if isinstance(entry, Look):
+                if current.intent is None:
+                    current.look = entry
+                else:
+                    current.next_look = entry
+            elif isinstance(entry, Refusal | Intent):
+                if current.intent is not None:  # its conclusion is lost
+                    yield current.step(None)
+                    current = current.successor()
+                if isinstance(entry, Refusal):
+                    current.refusals.append(entry)
+                else:
+                    current.intent = entry
+            elif isinstance(entry, ArmState):
+                current.arm_states.append(entry)
+            elif isinstance(entry, GripperState):
+                current.gripper_states.append(entry)
+            elif isinstance(entry, Conclusion):
+                yield current.step(entry.outcome)
+                current = current.successor()
+    except LogError:
+        if current.worth_telling:
+            yield current.step(None)
+        raise
+    if current.worth_telling:
+        yield current.step(None)

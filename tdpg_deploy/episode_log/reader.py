@@ -1,0 +1,168 @@
+"""Read an episode back: entries as they happened, or the steps that they make up. Lazily."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
+
+from tdpg_deploy.episode_log import channels, documents
+from tdpg_deploy.episode_log.about import METADATA, VERSIONS, About, from_metadata
+from tdpg_deploy.episode_log.entries import (
+    Entry,
+    ForceDocument,
+    Intent,
+    LoggedDecision,
+    Look,
+    LookDocument,
+    PlanDocument,
+    Step,
+)
+from tdpg_deploy.episode_log.grouping import group
+from tdpg_deploy.episode_log.records import read_records
+from tdpg_deploy.errors import LogError
+from tdpg_deploy.hal import ArmState, RgbdFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """A log whose head has been read. `entries` and `steps` read the file anew at each call and
+    hold one step in memory. At damage they raise LogError, after all that lies before it."""
+
+    path: Path
+    about: About
+
+    def entries(self, *, images: bool = True) -> Iterator[Entry]:
+        """Everything, in order; without `images` no look, and many times faster."""
+        with self.path.open("rb") as file:
+            try:
+                yield from _entries(read_records(file), images=images)
+            except LogError as error:
+                raise LogError(f"{self.path}: {error}") from error
+
+    def steps(self, *, images: bool = True) -> Iterator[Step]:
+        """One for each planned action, and a last one for refusals that led to none."""
+        return group(self.entries(images=images))
+
+
+def read_episode(path: Path) -> Episode:
+    """Read the head of a log. Raises LogError for anything that is not an episode's log."""
+    try:
+        with path.open("rb") as file:
+            return Episode(path=path, about=_read_head(read_records(file)))
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
+
+
+def _read_head(records: Iterator[McapRecord]) -> About:
+    metadata: dict[str, dict[str, str]] = {}
+    attachments: dict[str, bytes] = {}
+    try:
+        for record in records:
+            if isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+            elif isinstance(record, Attachment):
+                attachments[record.name] = record.data
+            elif isinstance(record, Message):
+                break
+    except LogError:
+        if METADATA not in metadata:
+            raise
+    if METADATA not in metadata:
+        raise LogError("an MCAP file, but not the log of an episode: it has no tdpg metadata")
+    return from_metadata(metadata[METADATA], metadata.get(VERSIONS, {}), attachments)
+
+
+def _entries(records: Iterator[McapRecord], *, images: bool) -> Iterator[Entry]:
+    topics: dict[int, str] = {}
+    parts = _Parts()
+    for record in records:
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            topic = topics.get(record.channel_id, "")
+            if topic in _ALONE:
+                yield documents.decode(channels.DOCUMENTS[topic], record.data)
+            elif topic in _CLOSING and (images or topic != channels.LOOK):
+                entry = _CLOSING[topic](parts, record)
+                if entry is not None:
+                    yield entry
+            else:
+                parts.keep(topic, record)
+
+
+class _Parts:
+    """The last message of every topic that waits for the document that closes its entry."""
+
+    def __init__(self) -> None:
+        self._messages: dict[str, Message] = {}
+
+    def keep(self, topic: str, message: Message) -> None:
+        self._messages[topic] = message
+
+    def take(self, closing: Message, *topics: str) -> list[bytes] | None:
+        """Their data, or None if one was lost, as in the middle of a recovered file."""
+        messages = [self._messages.pop(topic, None) for topic in topics]
+        whole = [m.data for m in messages if m and m.publish_time == closing.publish_time]
+        return whole if len(whole) == len(topics) else None
+
+
+def _look(parts: _Parts, closing: Message) -> Look | None:
+    document = documents.decode(LookDocument, closing.data)
+    data = parts.take(
+        closing, channels.COLOR, channels.DEPTH, channels.CALIBRATION, channels.HEIGHTMAP
+    )
+    if data is None:
+        return None
+    color, depth, calibration, heightmap = data
+    frame = RgbdFrame(
+        color=channels.decode_picture(channels.parse(CompressedImage, color)),
+        depth=channels.decode_depth(channels.parse(RawImage, depth)),
+        intrinsics=channels.decode_calibration(channels.parse(CameraCalibration, calibration)),
+        captured_at=document.captured_at,
+        sequence=document.sequence,
+        serial=document.serial,
+    )
+    return Look(frame=frame, heightmap=channels.decode_heightmap(channels.parse(Grid, heightmap)))
+
+
+def _intent(parts: _Parts, closing: Message) -> Intent | None:
+    document = documents.decode(PlanDocument, closing.data)
+    data = parts.take(closing, channels.DECISION)
+    if data is None:
+        return None
+    decision = documents.decode(LoggedDecision, data[0])
+    return Intent(decision=decision, plan=document.plan, stamp=document.stamp)
+
+
+def _arm_state(parts: _Parts, closing: Message) -> ArmState | None:
+    document = documents.decode(ForceDocument, closing.data)
+    data = parts.take(closing, channels.JOINTS, channels.TRANSFORMS)
+    if data is None:
+        return None
+    joints, transforms = data
+    q, qd = channels.decode_joints(channels.parse(JointStates, joints))
+    pose = channels.decode_transform(channels.parse(FrameTransforms, transforms), channels.TOOL)
+    if pose is None:
+        return None
+    force = np.array([document.x, document.y, document.z])
+    return ArmState(q=q, qd=qd, X_base_tool=pose, force=force, stamp=document.stamp)
+
+
+_CLOSING: dict[str, Callable[[_Parts, Message], Entry | None]] = {
+    channels.LOOK: _look,
+    channels.PLAN: _intent,
+    channels.TOOL_FORCE: _arm_state,
+}
+_ALONE = channels.DOCUMENTS.keys() - _CLOSING.keys() - {channels.DECISION}
