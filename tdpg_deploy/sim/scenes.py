@@ -1,0 +1,127 @@
+"""What lies on the table: objects with shape, pose, colour and goal flag, and random heaps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from policies.heightmap import Workspace
+from tdpg_deploy.errors import SceneError
+from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.sim.bodies import SHAPES, Shape
+
+MAX_OBJECTS = 30  # the paper's densest scenes
+SPAWN_CLEARANCE = 0.01  # m between objects before they fall
+SPAWN_MARGIN = 0.03  # m between the outermost objects and the border, before they fall
+MAX_HEIGHT = 2.0  # m above the table
+
+# Tableau's ten colours, as in VPG: blue, orange, green, red, purple, brown, pink, grey, gold, teal.
+PALETTE = (
+    (78, 121, 167),
+    (242, 142, 43),
+    (89, 161, 79),
+    (225, 87, 89),
+    (176, 122, 161),
+    (156, 117, 95),
+    (255, 157, 167),
+    (186, 176, 172),
+    (237, 201, 72),
+    (118, 183, 178),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneObject:
+    """goal: whether this is the object to fetch. rgb: 0..255, sRGB."""
+
+    shape: Shape
+    X_base_object: Transform
+    rgb: tuple[int, int, int]
+    goal: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    objects: tuple[SceneObject, ...]
+
+    def check(self, workspace: Workspace) -> None:
+        """Raises SceneError that names the first object outside of the workspace."""
+        for index, item in enumerate(self.objects):
+            x, y, z = item.X_base_object.translation
+            if not workspace.contains(x, y):
+                raise SceneError(
+                    f"object[{index}].position = ({x:.3f}, {y:.3f}, {z:.3f}) m lies outside of the "
+                    f"workspace x [{workspace.x_min:.3f}, {workspace.x_max:.3f}], "
+                    f"y [{workspace.y_min:.3f}, {workspace.y_max:.3f}]: move it inside"
+                )
+            if not 0 <= z - workspace.table_z <= MAX_HEIGHT:
+                raise SceneError(
+                    f"object[{index}].position: z = {z:.3f} m is not 0 to {MAX_HEIGHT:g} m above "
+                    f"the table at {workspace.table_z:.3f} m: move it there"
+                )
+
+
+def random_scene(
+    n: int,
+    workspace: Workspace,
+    rng: np.random.Generator,
+    shapes: Mapping[str, Shape] = SHAPES,
+) -> Scene:
+    """n objects of random shape, pose and colour above the workspace, clear of each other, ready
+    to fall. Raises SceneError for n outside of 1..30."""
+    if not 1 <= n <= MAX_OBJECTS:
+        raise SceneError(f"{n} objects asked for: ask for 1 to {MAX_OBJECTS}")
+    names = sorted(shapes)
+    spawner = Spawner(workspace, rng)
+    first = int(rng.integers(len(PALETTE)))
+    objects = []
+    for index in range(n):
+        shape = shapes[names[rng.integers(len(names))]]
+        objects.append(
+            SceneObject(
+                shape=shape,
+                X_base_object=spawner.pose(shape),
+                rgb=PALETTE[(first + index) % len(PALETTE)],
+            )
+        )
+    return Scene(objects=tuple(objects))
+
+
+class Spawner:
+    """Random poses above the workspace, each clear of what is there and of those before."""
+
+    def __init__(self, workspace: Workspace, rng: np.random.Generator, floor: float = 0.0) -> None:
+        """floor: metres above the table below which all is taken."""
+        self._workspace = workspace
+        self._rng = rng
+        self._floor = workspace.table_z + floor
+        self._taken: list[tuple[Array, Array]] = []  # lowest and highest corners of boxes
+
+    def pose(self, shape: Shape) -> Transform:
+        """As low as it fits at a random place and turn."""
+        rotation = Rotation.random(random_state=self._rng)
+        corners = shape.vertices @ rotation.as_matrix().T
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        square = self._workspace
+        x = self._rng.uniform(
+            square.x_min + SPAWN_MARGIN - low[0], square.x_max - SPAWN_MARGIN - high[0]
+        )
+        y = self._rng.uniform(
+            square.y_min + SPAWN_MARGIN - low[1], square.y_max - SPAWN_MARGIN - high[1]
+        )
+        gap = SPAWN_CLEARANCE
+        below = [
+            top[2]
+            for bottom, top in self._taken
+            if bottom[0] - gap < x + high[0]
+            and x + low[0] < top[0] + gap
+            and bottom[1] - gap < y + high[1]
+            and y + low[1] < top[1] + gap
+        ]
+        z = max([self._floor, *below]) + gap - low[2]
+        place = np.array([x, y, z])
+        self._taken.append((place + low, place + high))
+        return Transform(rotation, place)
