@@ -45,35 +45,35 @@ def check_views(views: Sequence[View], board_corners: int) -> None:
 
 
 def without_duplicates(views: Sequence[View]) -> tuple[list[View], list[str]]:
-    """Views without those that repeat another's picture or pose, and what was left out.
+    """Views without those that repeat another's picture and pose, and what was noticed.
 
-    A repeated picture with another pose means that poses and pictures are mixed up.
+    Where only one of the two repeats, one of the views is wrong: both stay, and the fit, which
+    can tell which, leaves it out.
     """
     kept: list[View] = []
     notes: list[str] = []
     for view in views:
+        duplicate = False
         for other in kept:
             distance, angle = view.X_base_tool.distance(other.X_base_tool)
             same_pose = distance < 0.2e-3 and angle < 0.3e-3
-            if _same_picture(view, other):
-                if not same_pose:
-                    raise CalibrationError(
-                        f"views {other.name} and {view.name} are the same picture with poses "
-                        f"{distance * 1e3:.1f} mm apart: poses and pictures are mixed up, "
-                        "or a stale frame was taken"
-                    )
+            same_picture = _apart(view, other) < 1e-3
+            if same_picture and not same_pose:
+                notes.append(
+                    f"{other.name} and {view.name} are the same picture with poses "
+                    f"{distance * 1e3:.1f} mm apart: a stale frame, or pictures and poses mixed up"
+                )
+            elif same_pose and _apart(view, other) > 5.0:
+                notes.append(
+                    f"{other.name} and {view.name} have the same pose, but their corners are "
+                    f"{_apart(view, other):.0f} px apart: a pose read before the arm had moved, "
+                    "or the camera or board was moved"
+                )
+            elif same_pose:
+                duplicate = True
                 notes.append(f"{view.name}: duplicate of {other.name}, left out")
                 break
-            if same_pose and _apart(view, other) > 5.0:
-                raise CalibrationError(
-                    f"views {other.name} and {view.name} have the same pose, but their corners "
-                    f"are {_apart(view, other):.0f} px apart: a pose was read before the arm "
-                    "had moved, or the camera or board has moved"
-                )
-            if same_pose:
-                notes.append(f"{view.name}: same pose as {other.name}, left out")
-                break
-        else:
+        if not duplicate:
             kept.append(view)
     return kept, notes
 
@@ -84,10 +84,6 @@ def _apart(one: View, two: View) -> float:
     if not len(i):
         return float("inf")
     return float(np.median(np.linalg.norm(one.corners[i] - two.corners[j], axis=1)))
-
-
-def _same_picture(one: View, two: View) -> bool:
-    return bool(np.array_equal(one.ids, two.ids) and np.abs(one.corners - two.corners).max() < 1e-3)
 
 
 def check_enough(views: Sequence[View]) -> None:

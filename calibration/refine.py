@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq
+from scipy.stats import chi2
 
 from calibration.projection import (
     LENS,
@@ -128,46 +129,69 @@ def chi_squares(estimate: Estimate, seen: Observations, noise: Noise) -> Array:
     return _terms(linearise(estimate, seen), noise).chi2
 
 
-def pixel_noise(estimate: Estimate, seen: Observations) -> float:
-    """Standard deviation of a corner, from what moving each view's board cannot explain.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Split:
+    """Each view's residuals in two: what moving its board explains, and what is left.
 
-    Independent of the arm. The median over views, so that some bad views do not matter.
+    left: (V,) squared pixels, 2n - 6 of freedom; the arm has no part in it.
+    moves: (V, 6) the moves, rad and m at the tool. sharpness: (V, 6, 6) their information for
+    corners of 1 px.
     """
-    lin = linearise(estimate, seen)
-    G, r = lin.pose_jacobian, lin.residuals
-    Gr = np.einsum("vni,vn->vi", G, r)
-    moved = np.linalg.pinv(np.einsum("vni,vnj->vij", G, G), rcond=1e-12) @ Gr[..., None]
-    left = np.einsum("vn,vn->v", r, r) - np.einsum("vi,vi->v", Gr, moved[..., 0])
-    return float(np.sqrt(np.median(np.maximum(left, 1e-9) / np.maximum(seen.counts - 6, 1))))
 
+    left: Array
+    moves: Array
+    sharpness: Array
+    counts: npt.NDArray[np.int64]
 
-def pose_noise_scale(estimate: Estimate, seen: Observations, noise: Noise) -> float:
-    """Factor >= 1 on the standard deviations of `noise.pose` that the views ask for.
+    def pixel_noise(self) -> float:
+        """Standard deviation of a corner: the median over views, so that bad ones do not matter."""
+        return float(np.sqrt(np.median(self.left / (self.counts - 6))))
 
-    Each view's board, moved freely, shows the arm's error plus what corners cannot tell; the
-    factor makes the sum of their squares what it should be.
-    """
-    lin = linearise(estimate, seen)
-    G, r = lin.pose_jacobian, lin.residuals
-    GG = np.einsum("vni,vnj->vij", G, G)
-    moves = np.linalg.solve(GG, np.einsum("vni,vn->vi", G, r)[..., None])[..., 0]
-    by_corners = noise.pixel**2 * np.linalg.inv(GG)
-    freedom = 6 * len(seen) - 12
-    if freedom < 12:  # too few views to tell
-        return 1.0
+    def corner_ratio(self, pixel: float) -> Array:
+        """(V,) how badly the corners fit any board, 1 is usual."""
+        return self.left / (self.counts - 6) / pixel**2
 
-    def excess(log_factor: float) -> float:
-        spread = by_corners + np.diag(np.exp(2 * log_factor) * noise.pose)
-        return float(
-            np.einsum("vi,vi->", moves, np.linalg.solve(spread, moves[..., None])[..., 0]) - freedom
+    def pose_chi2(self, noise: Noise) -> Array:
+        """(V,) how badly the pose fits, chi-square of 6."""
+        spread = noise.pixel**2 * np.linalg.inv(self.sharpness) + np.diag(noise.pose)
+        return np.asarray(
+            np.einsum(
+                "vi,vi->v", self.moves, np.linalg.solve(spread, self.moves[..., None])[..., 0]
+            )
         )
 
-    highest = np.log(300.0)
-    if excess(0.0) <= 0:
-        return 1.0
-    if excess(highest) >= 0:
-        return float(np.exp(highest))
-    return float(np.exp(brentq(excess, 0.0, highest, xtol=1e-3)))
+    def pose_noise_factor(self, noise: Noise, *, robust: bool) -> float:
+        """At least 1: how many times the standard deviations of `noise.pose` the views show.
+
+        robust: the median view's, else all views' together.
+        """
+        views = len(self.counts)
+        if views < 8:  # too few to tell
+            return 1.0
+        freedom = 6 - 12 / views
+        usual = float(chi2.ppf(0.5, freedom)) if robust else freedom
+
+        def excess(log_factor: float) -> float:
+            pose = np.exp(2 * log_factor) * noise.pose
+            ratios = self.pose_chi2(Noise(pixel=noise.pixel, pose=pose))
+            return float(np.median(ratios) if robust else np.mean(ratios)) - usual
+
+        highest = np.log(100.0)
+        if excess(0.0) <= 0:
+            return 1.0
+        if excess(highest) >= 0:
+            return float(np.exp(highest))
+        return float(np.exp(brentq(excess, 0.0, highest, xtol=1e-3)))
+
+
+def split(estimate: Estimate, seen: Observations) -> Split:
+    lin = linearise(estimate, seen)
+    G, r = lin.pose_jacobian, lin.residuals
+    sharpness = np.einsum("vni,vnj->vij", G, G)
+    Gr = np.einsum("vni,vn->vi", G, r)
+    moves = np.linalg.solve(sharpness, Gr[..., None])[..., 0]
+    left = np.einsum("vn,vn->v", r, r) - np.einsum("vi,vi->v", Gr, moves)
+    return Split(left=np.maximum(left, 1e-9), moves=moves, sharpness=sharpness, counts=seen.counts)
 
 
 def _restricted(estimate: Estimate, nominal: Estimate, freedom: Freedom) -> Estimate:

@@ -17,8 +17,7 @@ from calibration.refine import (
     Noise,
     chi_squares,
     fit,
-    pixel_noise,
-    pose_noise_scale,
+    split,
 )
 from calibration.views import Mounting, PoseNoise, View
 from tdpg_deploy.errors import CalibrationError
@@ -26,6 +25,7 @@ from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics
 
 FOLDS = 5
+MARGIN = 1.5
 WORTH = 20.0  # chi-square that held-out views must gain before lens or scale is set free
 LEAST_PIXEL_NOISE = 0.02  # px; better corners have not been seen, nor a smaller error be true
 
@@ -152,35 +152,39 @@ def _gated(
 
     Starts robustly from all views when `used` is not known.
     """
-    noise = Noise(pixel=max(pixel_noise(begin, seen), 0.1), pose=prior_noise.variances())
+    noise = Noise(pixel=0.5, pose=prior_noise.variances())
     if used is None:
         begin = fit(begin, nominal, seen, noise, freedom, robust=True).estimate
-        ratios = chi_squares(begin, seen, _measured(begin, seen, prior_noise)) / seen.counts
-        used = ratios < 4.0 * max(1.0, float(np.median(ratios)))
+        used = _good(begin, seen, _measured(begin, seen, prior_noise, robust=True))
     for _ in range(5):
         diagnosis.check_share(used)
-        fitted = fit(begin, nominal, seen.take(used), noise, freedom)
-        begin = fitted.estimate
-        noise = _measured(begin, seen.take(used), prior_noise)
-        ratios = chi_squares(begin, seen, noise) / seen.counts
-        now = ratios < _gate(seen.counts)
+        begin = fit(begin, nominal, seen.take(used), noise, freedom).estimate
+        noise = _measured(begin, seen.take(used), prior_noise, robust=False)
+        now = _good(begin, seen, noise)
         if (now == used).all():
             break
         used = now
     return fit(begin, nominal, seen.take(used), noise, freedom), noise, used
 
 
-def _gate(counts: npt.NDArray[np.int64]) -> Array:
-    """Ratio of chi-square to its mean that one good view in 10,000 exceeds, and a margin of
-    a third for corner errors that are not quite Gaussian."""
-    return np.asarray(4 / 3 * chi2.ppf(1 - 1e-4, counts) / counts, np.float64)
-
-
-def _measured(estimate: Estimate, seen: Observations, prior: PoseNoise) -> Noise:
-    pixel = max(pixel_noise(estimate, seen), LEAST_PIXEL_NOISE)
+def _measured(estimate: Estimate, seen: Observations, prior: PoseNoise, *, robust: bool) -> Noise:
+    parts = split(estimate, seen)
+    pixel = max(parts.pixel_noise(), LEAST_PIXEL_NOISE)
     noise = Noise(pixel=pixel, pose=prior.variances())
-    factor = pose_noise_scale(estimate, seen, noise)
+    factor = parts.pose_noise_factor(noise, robust=robust)
     return Noise(pixel=pixel, pose=factor**2 * noise.pose)
+
+
+def _good(estimate: Estimate, seen: Observations, noise: Noise) -> npt.NDArray[np.bool_]:
+    """(V,) views whose corners fit the board and whose pose fits the rest.
+
+    One good view in 10,000 fails, with a margin for noise that is not quite Gaussian.
+    """
+    parts = split(estimate, seen)
+    freedom = parts.counts - 6
+    corners = parts.corner_ratio(noise.pixel) < MARGIN * chi2.ppf(1 - 1e-4, freedom) / freedom
+    pose = parts.pose_chi2(noise) < MARGIN * chi2.ppf(1 - 1e-4, 6)
+    return np.asarray(corners & pose)
 
 
 def _choose(

@@ -17,7 +17,7 @@ from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics
 
 D435_720P = Intrinsics(width=1280, height=720, fx=915.0, fy=914.0, cx=643.0, cy=361.0)
-DEPTHS = {Mounting.EYE_TO_HAND: (0.45, 0.85), Mounting.EYE_IN_HAND: (0.35, 0.65)}  # m
+DEPTHS = {Mounting.EYE_TO_HAND: (0.55, 0.95), Mounting.EYE_IN_HAND: (0.35, 0.65)}  # m
 LEAST_SEEN = 0.7  # of the board's corners
 
 

@@ -1,0 +1,142 @@
+"""Error of hand-eye calibration on synthetic truth, beside OpenCV's methods and the bound.
+
+Truth and noise come from `calibration.synthetic` (pixels by OpenCV's projection); the Cramer-Rao
+bound is computed here from differences of that projection, so nothing of the solver judges
+itself. Sequences of the package kinhec are added when it is installed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calibration.synthetic import Truth
+from calibration.views import Mounting, PoseNoise, View
+from tdpg_deploy.geometry import Array, Transform
+from tools.benchmark.calibration_cases import (
+    PIXEL_NOISE,
+    POSE_NOISE,
+    Case,
+    bad_views_case,
+    clean_case,
+    stretched_board_case,
+    wrong_lens_case,
+)
+from tools.benchmark.measure import Measurement
+from tools.benchmark.opencv_hand_eye import solve_with_opencv
+
+TRIALS = 90
+STRESSED_TRIALS = 40
+KINHEC_TRIALS = 12
+STRESSES: dict[str, Callable[[Mounting, int], Case]] = {
+    "20 % bad views": bad_views_case,
+    "lens off by 0.3 %, 3 px": wrong_lens_case,
+    "board x 1.005": stretched_board_case,
+}
+
+
+def run() -> list[Measurement]:
+    """Camera place errors in mm: median, 5 to 95 %; reference: the bound on the same data."""
+    results = []
+    inside: list[float] = []
+    for mounting in Mounting:
+        errors: dict[str, list[float]] = defaultdict(list)
+        for seed in range(TRIALS):
+            case = clean_case(mounting, seed)
+            found = case.solve()
+            errors["this solver"].append(case.error(found.X_parent_camera))
+            inside.append(float(case.within(found, 0.95)))
+            for name, X in solve_with_opencv(case).items():
+                errors[name].append(case.error(X))
+            errors["Cramer-Rao bound"] += bound_draws(case.truth, case.views, seed)
+        bound = float(np.median(errors["Cramer-Rao bound"]))
+        results += [
+            _measurement(f"{mounting.value}: {name}", values, bound)
+            for name, values in errors.items()
+        ]
+    results.append(
+        Measurement(
+            name="errors inside the 95 % region",
+            unit="%",
+            median=100 * float(np.mean(inside)),
+            low=100 * float(np.mean(inside[:TRIALS])),
+            high=100 * float(np.mean(inside[TRIALS:])),
+            repeats=len(inside),
+        )
+    )
+    for name, make in STRESSES.items():
+        for mounting in Mounting:
+            cases = [make(mounting, seed) for seed in range(STRESSED_TRIALS)]
+            results.append(_measurement(f"{mounting.value}, {name}", _errors(cases)))
+    if importlib.util.find_spec("kinhec") is not None:
+        from tools.benchmark.kinhec_cases import kinhec_case
+
+        sequences = (kinhec_case(seed) for seed in range(KINHEC_TRIALS))
+        found_cases = [case for case in sequences if case is not None]
+        results.append(_measurement("kinhec eye-to-hand, 7 x 5 corners", _errors(found_cases)))
+    return results
+
+
+def bound_draws(truth: Truth, views: Sequence[View], seed: int, draws: int = 50) -> list[float]:
+    """Place errors (mm) of an estimator that attains the Cramer-Rao bound, drawn at random."""
+    covariance = np.linalg.inv(_fisher_information(truth, views, POSE_NOISE))[3:6, 3:6]
+    rng = np.random.default_rng([seed, 99])
+    drawn = rng.multivariate_normal(np.zeros(3), covariance, draws)
+    return [float(1e3 * np.linalg.norm(error)) for error in drawn]
+
+
+def _fisher_information(truth: Truth, views: Sequence[View], noise: PoseNoise) -> Array:
+    """(12, 12) of steps of both poses, arm errors marginalised, by central differences."""
+    information = np.zeros((12, 12))
+    for view in views:
+        arm = view.X_parents(truth.mounting)
+
+        def pixels(step: Array, arm: Transform = arm, view: View = view) -> Array:
+            camera = truth.X_parent_camera @ _small(step[0:6])
+            board = truth.X_parent_board @ _small(step[6:12])
+            erring = _small(step[12:18])
+            eye_to_hand = truth.mounting is Mounting.EYE_TO_HAND
+            moved = arm @ erring if eye_to_hand else erring.inverse() @ arm
+            X = camera.inverse() @ moved @ board
+            seen, _ = cv2.projectPoints(
+                truth.board_corners[view.ids],
+                X.rotation.as_rotvec(),
+                X.translation,
+                truth.intrinsics.as_matrix(),
+                np.array(truth.intrinsics.distortion),
+            )
+            return np.asarray(seen, np.float64).ravel()
+
+        h = 1e-6
+        columns = [(pixels(step) - pixels(-step)) / (2 * h) for step in h * np.eye(18)]
+        J = np.stack(columns, axis=1)
+        G = J[:, 12:]
+        spread = PIXEL_NOISE**2 * np.eye(len(J)) + G @ np.diag(noise.variances()) @ G.T
+        information += J[:, :12].T @ np.linalg.solve(spread, J[:, :12])
+    return information
+
+
+def _small(step: Array) -> Transform:
+    return Transform(Rotation.from_rotvec(step[:3]), step[3:])
+
+
+def _errors(cases: Sequence[Case]) -> list[float]:
+    return [case.error(case.solve().X_parent_camera) for case in cases]
+
+
+def _measurement(name: str, values: Sequence[float], bound: float | None = None) -> Measurement:
+    low, median, high = np.percentile(values, [5, 50, 95])
+    return Measurement(
+        name=name,
+        unit="mm",
+        median=float(median),
+        low=float(low),
+        high=float(high),
+        reference=bound,
+        repeats=len(values),
+    )
