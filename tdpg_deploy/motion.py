@@ -18,7 +18,7 @@ from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.errors import PlanRefused
 from tdpg_deploy.footprint import Ground, Rectangle, ground_under
 from tdpg_deploy.geometry import Array, Transform, top_down
-from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
+from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 
 OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
 PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
@@ -104,6 +104,16 @@ def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
         retreat=(_joints("home", np.array(config.arm.home), config),),
         notes=notes,
     )
+
+
+def plan_homing(X_base_tool: Transform, config: CellConfig) -> tuple[Step, ...]:
+    """From wherever the tool is: straight up to travel height, then home."""
+    home = _joints("home", np.array(config.arm.home), config)
+    x, y, z = X_base_tool.translation
+    if z >= _travel_z(config):
+        return (home,)
+    raised = Transform(X_base_tool.rotation, np.array([x, y, _travel_z(config)]))
+    return _guarded("raise", raised, config.limits.push_force, config), home
 
 
 # --- footprints -------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -27,7 +28,8 @@ class Motion:
 class GraspOutcome:
     """Two witnesses of a grasp.
 
-    width_after_close, width_after_lift: metres between the pads; nan when not measured.
+    width_after_close, width_after_lift, width_at_release: metres between the pads; nan when
+    not measured.
     held_by_width: whether something kept the pads apart after the lift.
     gone_from_map: whether the heightmap around the grasp fell, seen by the next frame.
     """
@@ -37,10 +39,11 @@ class GraspOutcome:
     width_after_lift: float
     held_by_width: Verdict
     gone_from_map: Verdict
+    width_at_release: float = math.nan
 
     @property
     def success(self) -> Verdict:
-        """What the witnesses agree on. One that saw nothing has no vote; contradiction is unknown."""
+        """What the witnesses agree on; one that saw nothing has no vote."""
         witnesses = {self.held_by_width, self.gone_from_map} - {Verdict.UNKNOWN}
         return witnesses.pop() if len(witnesses) == 1 else Verdict.UNKNOWN
 
