@@ -1,0 +1,81 @@
+"""A controller as a process: `python -m tdpg_deploy.emulators.ur_controller --host 127.0.0.1`.
+
+Writes one JSON line when it listens, then answers commands on stdin (see pendant.py), one a
+line, and ends with its stdin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import sys
+
+import numpy as np
+
+from tdpg_deploy.emulators.ur_controller.controller import Controller
+from tdpg_deploy.emulators.ur_controller.modes import GENERATIONS, Generation
+from tdpg_deploy.emulators.ur_controller.pendant import Pendant
+from tdpg_deploy.emulators.ur_controller.plant import KinematicPlant
+from tdpg_deploy.emulators.ur_controller.server import Server
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--host", default="127.0.0.1", help="loopback address to serve on")
+    parser.add_argument("--generation", choices=GENERATIONS, default="cb3")
+    parser.add_argument("--version", help="controller software, as 3.15.8.106339")
+    parser.add_argument("--pace", type=float, default=1.0, help="times real time")
+    parser.add_argument("--table-z", type=float, help="m in base: a table to press on")
+    parser.add_argument(
+        "--q",
+        type=float,
+        nargs=6,
+        default=np.radians([90, -110, 100, -80, -90, 0]).tolist(),
+        help="joint positions at start, rad",
+    )
+    parser.add_argument("--verbose", action="store_true", help="log to stderr")
+    return parser.parse_args()
+
+
+def _generation(arguments: argparse.Namespace) -> Generation:
+    line = GENERATIONS[arguments.generation]
+    if arguments.version is None:
+        return line
+    major, minor, bugfix, build = map(int, arguments.version.split("."))
+    return Generation(version=(major, minor, bugfix, build), frequency=line.frequency)
+
+
+async def _serve(arguments: argparse.Namespace) -> None:
+    plant = KinematicPlant(np.array(arguments.q), table_z=arguments.table_z)
+    controller = Controller(plant, _generation(arguments), pace=arguments.pace)
+    server = Server(controller, arguments.host)
+    await server.listen()
+    cycles = asyncio.create_task(server.run(pace=arguments.pace))
+    commands = asyncio.create_task(_obey(Pendant(server)))
+    done, _ = await asyncio.wait({cycles, commands}, return_when=asyncio.FIRST_COMPLETED)
+    cycles.cancel()
+    await server.unplug()
+    for task in done:
+        task.result()
+
+
+async def _obey(pendant: Pendant) -> None:
+    loop = asyncio.get_running_loop()
+    reader = asyncio.StreamReader()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    _say({"ok": "listening"})
+    while line := await reader.readline():
+        _say(await pendant.perform(json.loads(line)))
+
+
+def _say(answer: object) -> None:
+    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    given = _arguments()
+    logging.basicConfig(level=logging.DEBUG if given.verbose else logging.WARNING)
+    asyncio.run(_serve(given))
