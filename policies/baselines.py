@@ -1,0 +1,46 @@
+"""Policies without a network, to compare with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from policies.decide import allowed, best_grasps, best_push, choose_by_critic_one, to_primitive
+from policies.errors import NoActionError
+from policies.heightmap import SIZE, Heightmap
+from policies.policy import ROTATIONS, Decision, QMaps
+from policies.primitives import Primitive
+
+
+class RandomPolicy:
+    """Any allowed grasp, all equally likely; with `pushes`, every other action is any push."""
+
+    def __init__(self, *, pushes: bool = False) -> None:
+        self.pushes = pushes
+
+    def decide(
+        self, heightmap: Heightmap, rng: np.random.Generator, *, avoid: Sequence[Primitive] = ()
+    ) -> Decision:
+        start = time.perf_counter()
+        shape = (ROTATIONS, SIZE, SIZE)
+        push_now = self.pushes and rng.random() < 0.5
+        maps = QMaps(
+            grasp=np.zeros(shape, np.float32),
+            push=np.full(shape, 1 if push_now else -np.inf, np.float32),
+        )
+        maps = allowed(maps, heightmap, avoid)
+        chosen = choose_by_critic_one(best_grasps(maps, rng, count=1), best_push(maps, rng))
+        if chosen is None:
+            raise NoActionError(f"random: no action is allowed ({len(avoid)} are to be avoided)")
+        return Decision(
+            primitive=to_primitive(chosen, heightmap),
+            rotation=chosen.rotation,
+            row=chosen.row,
+            col=chosen.col,
+            q=chosen.q,
+            maps=maps,
+            verdict=None,
+            seconds={"choose": time.perf_counter() - start},
+        )

@@ -1,0 +1,48 @@
+"""Critic I values every action; Critic II doubts the best grasps (paper, section III)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from policies.decide import Choice
+from policies.networks.maps import Maps, Network
+from policies.policy import ROTATIONS, QMaps
+from policies.rotation import back_to_map, pictures, positions
+
+HALF_TURN = ROTATIONS // 2
+
+
+def critic_one(
+    network: Network, state: torch.Tensor, *, pushes: bool
+) -> tuple[QMaps, torch.Tensor]:
+    """Q(s, a) = (phi_p(s), phi_g(s)) of all actions, in one batch; nothing is masked yet.
+
+    A grasp looks the same from both sides. When pushes are valued all sixteen pictures are
+    made, and a grasp takes the mean of its two views; else eight pictures do.
+    state: (C, 224, 224). Returns the maps, and the features that Critic II reads.
+    """
+    maps: Maps = network(pictures(state, ROTATIONS if pushes else HALF_TURN))
+    if not pushes:
+        grasp = back_to_map(maps.grasp.float())[:, 0].numpy()
+        push = np.full((ROTATIONS, *grasp.shape[1:]), -np.inf, np.float32)
+    else:
+        both = back_to_map(torch.cat((maps.push, maps.grasp), 1).float())
+        push = both[:, 0].numpy()
+        grasp = both[:, 1].view(2, HALF_TURN, *both.shape[2:]).mean(0).numpy()
+    return QMaps(push=push, grasp=np.concatenate((grasp, grasp))), maps.features
+
+
+def critic_two(
+    network: Network, features: torch.Tensor, grasps: Sequence[Choice]
+) -> npt.NDArray[np.float64]:
+    """P_success of each grasp (paper, eq. 2)."""
+    rotations, rows, cols = (
+        torch.tensor([getattr(grasp, name) for grasp in grasps])
+        for name in ("rotation", "row", "col")
+    )
+    logits = network.evaluate(features[rotations], positions(rotations, rows, cols))
+    return torch.sigmoid(logits.double()).numpy()

@@ -1,0 +1,97 @@
+"""A trained network that decides: `Decider` on frozen weights."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+
+from policies.critics import critic_one, critic_two
+from policies.decide import (
+    allowed,
+    best_grasps,
+    best_push,
+    choose_by_critic_one,
+    choose_by_critic_two,
+    to_primitive,
+)
+from policies.errors import NoActionError
+from policies.heightmap import Heightmap
+from policies.methods import Method
+from policies.networks.build import for_inference
+from policies.networks.maps import Network
+from policies.policy import CriticVerdict, Decision
+from policies.primitives import Primitive
+from policies.state import encode
+
+
+class LearnedPolicy:
+    """Critic I, and Critic II where the method has it, on one frozen network.
+
+    The network is copied, so training may go on. The same heightmap, generator state and
+    machine give the same decision to the bit. Threads are torch's: `torch.set_num_threads`.
+    """
+
+    def __init__(
+        self, network: Network, method: Method, *, goal: bool, dtype: torch.dtype | None = None
+    ) -> None:
+        """goal: the network reads the goal mask. dtype: bfloat16 or float32; by default what
+        this processor is fastest at."""
+        self.method = method
+        self.goal = goal
+        self._dtype = dtype or fastest_dtype()
+        self._network = for_inference(network, self._dtype)
+
+    @torch.inference_mode()
+    def decide(
+        self, heightmap: Heightmap, rng: np.random.Generator, *, avoid: Sequence[Primitive] = ()
+    ) -> Decision:
+        seconds: dict[str, float] = {}
+        with _timed(seconds, "critic_one"):
+            state = encode(heightmap, goal=self.goal).to(self._dtype)
+            maps, features = critic_one(self._network, state, pushes=self.method.pushes)
+        with _timed(seconds, "choose"):
+            maps = allowed(maps, heightmap, avoid)
+            grasps = best_grasps(maps, rng)
+            push = best_push(maps, rng)
+            chosen = choose_by_critic_one(grasps, push)
+        if chosen is None:
+            raise NoActionError(
+                f"{self.method.name}: no action is allowed: nothing rises above the table, "
+                f"it was not seen, or all was to be avoided ({len(avoid)} actions)"
+            )
+        verdict = None
+        if self.method.doubts and grasps:
+            with _timed(seconds, "critic_two"):
+                p_success = critic_two(self._network, features, grasps)
+                agreed = choose_by_critic_two(chosen, grasps, push, p_success)
+            verdict = CriticVerdict(
+                p_success=tuple(p_success.tolist()), overruled=agreed.kind != chosen.kind
+            )
+            chosen = agreed
+        return Decision(
+            primitive=to_primitive(chosen, heightmap),
+            rotation=chosen.rotation,
+            row=chosen.row,
+            col=chosen.col,
+            q=chosen.q,
+            maps=maps,
+            verdict=verdict,
+            seconds=seconds,
+        )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], part: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    seconds[part] = time.perf_counter() - start
+
+
+def fastest_dtype() -> torch.dtype:
+    """bfloat16 where the processor multiplies it natively (about twice as fast), else float32."""
+    native = torch.cpu._is_avx512_bf16_supported()
+    return torch.bfloat16 if native else torch.float32

@@ -1,0 +1,120 @@
+"""The light network: made for two CPU cores, and for learning from one pixel at a time.
+
+A small residual U-Net. It has no normalisation, and features are zero outside of the workspace
+at every layer, so the value of an action depends on the PATCH of picture around it and on
+nothing else: training runs on patches and yields the values of the whole picture.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from policies import state
+from policies.networks.maps import Maps, Network
+
+WINDOW = 7  # cells of 8 mm that Critic II looks at; three 3x3 convolutions leave one
+
+
+class LightNet(Network):
+    """PushNet, GraspNet and EvaluationNet on one shared trunk.
+
+    goal: take the goal mask as a seventh channel. width: channels at stride 2; 16 makes
+    0.24 M parameters.
+    """
+
+    STRIDE = 8
+    PATCH = 144  # pixels; holds the receptive field of every output at every phase
+
+    def __init__(self, *, goal: bool, width: int = 16) -> None:
+        super().__init__()
+        fine, middle, coarse = width, 2 * width, 4 * width
+        # Without bias, what is zero outside stays zero; the channel INSIDE stands in for it.
+        self.stem = nn.Conv2d(state.channels(goal=goal), fine, 6, stride=2, padding=2, bias=False)
+        self.down4 = nn.Conv2d(fine, middle, 3, stride=2, padding=1)
+        self.mix4 = nn.Conv2d(middle, middle, 3, padding=1)
+        self.down8 = nn.Conv2d(middle, coarse, 3, stride=2, padding=1)
+        self.blocks = nn.ModuleList(_Residual(coarse) for _ in range(2))
+        self.up4 = nn.Conv2d(coarse, middle, 1, bias=False)
+        self.fuse4 = nn.Conv2d(middle, middle, 3, padding=1)
+        self.up2 = nn.Conv2d(middle, fine, 1, bias=False)
+        self.fuse2 = nn.Conv2d(fine, 2 * fine, 3, padding=1)
+        self.push_net = nn.Conv2d(fine, 1, 1)
+        self.grasp_net = nn.Conv2d(fine, 1, 1)
+        self.evaluation_net = _EvaluationNet(middle)
+        self.apply(_he)
+        for block in self.blocks:
+            assert isinstance(block, _Residual)
+            nn.init.zeros_(block.second.weight)  # blocks begin as the identity
+        for head in (self.push_net, self.grasp_net):
+            nn.init.normal_(head.weight, std=0.01)  # values begin near zero
+
+    def forward(self, picture: torch.Tensor) -> Maps:
+        """(n, 6 or 7, h, w), h and w multiples of 8 -> values at stride 2."""
+        inside4 = picture[:, :1, 2::4, 2::4]  # at the middle of each cell
+        inside8 = picture[:, :1, 4::8, 4::8]
+        x2 = F.relu_(self.stem(picture))
+        x4 = _relu(self.down4(x2), inside4)
+        x4 = _relu(self.mix4(x4), inside4)
+        x8 = _relu(self.down8(x4), inside8)
+        for block in self.blocks:
+            x8 = block(x8, inside8)
+        x4 = F.relu_(F.interpolate(self.up4(x8), scale_factor=2.0).add_(x4))
+        x4 = _relu(self.fuse4(x4), inside4)
+        x2 = F.relu_(F.interpolate(self.up2(x4), scale_factor=2.0).add_(x2))
+        push, grasp = F.relu_(self.fuse2(x2)).chunk(2, dim=1)
+        return Maps(push=self.push_net(push), grasp=self.grasp_net(grasp), features=x4)
+
+    def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
+        """Critic II: features (n, c, h, w) and the grasps' places in them (n, 2) in [-1, 1]
+        -> (n,) logits of P_success.
+
+        The paper concatenates features and target position; here the target is the centre of
+        the window of features, which says the same and holds on patches too.
+        """
+        cells = torch.arange(WINDOW, device=places.device) - (WINDOW - 1) / 2
+        step_x, step_y = 2 / features.shape[3], 2 / features.shape[2]
+        rows, cols = torch.meshgrid(cells * step_y, cells * step_x, indexing="ij")
+        grid = places[:, None, None, :] + torch.stack((cols, rows), -1)
+        window = F.grid_sample(features.float(), grid, align_corners=False)
+        logits: torch.Tensor = self.evaluation_net(window.to(features.dtype))
+        return logits.float()
+
+
+class _Residual(nn.Module):
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(channels, channels, 3, padding=1)
+        self.second = nn.Conv2d(channels, channels, 3, padding=1)
+
+    def forward(self, x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
+        y = _relu(self.first(x), inside)
+        return _relu(self.second(y).add_(x), inside)
+
+
+def _relu(x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
+    """ReLU, and zero outside. In place, which halves the time of a decision."""
+    return F.relu_(x.mul_(inside))
+
+
+class _EvaluationNet(nn.Module):
+    """Three 3x3 convolutions and a fully connected layer (paper, section III-D)."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.convolutions = nn.ModuleList(nn.Conv2d(channels, channels, 3) for _ in range(3))
+        self.fully_connected = nn.Linear(channels, 1)
+
+    def forward(self, window: torch.Tensor) -> torch.Tensor:
+        for convolution in self.convolutions:
+            window = F.relu(convolution(window))
+        logits: torch.Tensor = self.fully_connected(window.flatten(1))
+        return logits[:, 0]
+
+
+def _he(module: nn.Module) -> None:
+    if isinstance(module, nn.Conv2d):
+        nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)
