@@ -12,12 +12,13 @@ from tools.train.replay import HEIGHT_STEP, TRANSITION, Replay, pack_height, unp
 
 
 def add(replay: Replay, reward: float) -> None:
-    look = replay.add_look(
-        np.full((SIZE, SIZE), replay.looks, np.uint16), np.zeros((SIZE, SIZE, 3), np.uint8)
+    transition = np.zeros(1, TRANSITION)
+    transition["reward"], transition["next_look"] = reward, -1
+    replay.extend(
+        np.full((1, SIZE, SIZE), replay.looks, np.uint16),
+        np.zeros((1, SIZE, SIZE, 3), np.uint8),
+        transition,
     )
-    transition = np.zeros((), TRANSITION)
-    transition["look"], transition["reward"] = look, reward
-    replay.add(transition)
 
 
 @given(st.floats(-0.0625, 0.5, width=32))
@@ -65,3 +66,19 @@ def test_a_restored_run_forgets_what_was_not_saved(tmp_path: Path) -> None:
     assert again.priorities[0] == pytest.approx(0.51)
     add(again, 0.5)
     assert again.transitions[1]["look"] == 1
+    assert again.heights[1, 0, 0] == 1
+
+
+def test_looks_are_found_again_after_joining(tmp_path: Path) -> None:
+    replay = Replay(tmp_path, capacity=8)
+    add(replay, 0.0)
+    transitions = np.zeros(2, TRANSITION)
+    transitions["look"], transitions["next_look"] = [0, 1], [1, -1]
+    replay.extend(
+        np.stack([np.full((SIZE, SIZE), 7, np.uint16), np.full((SIZE, SIZE), 8, np.uint16)]),
+        np.zeros((2, SIZE, SIZE, 3), np.uint8),
+        transitions,
+    )
+    assert replay.heights[replay.transitions[1]["look"], 0, 0] == 7
+    assert replay.heights[replay.transitions[1]["next_look"], 0, 0] == 8
+    assert replay.transitions[2]["next_look"] == -1

@@ -61,11 +61,12 @@ class Learning(_Section):
 
 
 class TrainConfig(_Section):
-    """actions: how many the whole run executes. lr falls by a cosine in its last part if asked."""
+    """actions: how many the whole run executes. width: of the light network, at stride 2."""
 
     stage: Literal["grasp"] = "grasp"
     seed: int = 0
     actions: int = Field(1000, ge=1)
+    width: int = Field(16, ge=4, le=64)
     rollout: Rollout = Rollout()
     randomization: Randomization = Randomization()
     learning: Learning = Learning()
@@ -77,3 +78,19 @@ def load_train_config(path: Path) -> TrainConfig:
         return TrainConfig.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except (OSError, tomllib.TOMLDecodeError, ValidationError) as error:
         raise ConfigError(f"{path}: {error}") from error
+
+
+def overridden(
+    config: TrainConfig, *, actions: int | None, seed: int | None, workers: int | None
+) -> TrainConfig:
+    """The same experiment but for what is not None. Raises ConfigError."""
+    data = config.model_dump()
+    data |= {
+        name: value for name, value in (("actions", actions), ("seed", seed)) if value is not None
+    }
+    if workers is not None:
+        data["rollout"]["workers"] = workers
+    try:
+        return TrainConfig.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(str(error)) from error

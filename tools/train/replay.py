@@ -80,18 +80,25 @@ class Replay:
         self.looks, self.size = state["looks"], state["size"]
         self.priorities[: self.size] = state["priorities"]
 
-    def add_look(self, height: npt.NDArray[np.uint16], color: npt.NDArray[np.uint8]) -> int:
-        """Store a packed heightmap; returns its index."""
-        self.heights[self.looks] = height
-        self.colors[self.looks] = color
-        self.looks += 1
-        return self.looks - 1
+    def extend(
+        self,
+        heights: npt.NDArray[np.uint16],
+        colors: npt.NDArray[np.uint8],
+        transitions: npt.NDArray[np.void],
+    ) -> None:
+        """Add packed looks, and transitions whose looks are indices into them.
 
-    def add(self, transition: npt.NDArray[np.void]) -> None:
-        """Store a transition with the highest priority so far: each is seen at least once."""
-        self.priorities[self.size] = self.priorities[: self.size].max() if self.size else 1.0
-        self.transitions[self.size] = transition
-        self.size += 1
+        New transitions are as urgent as the most urgent: each is likely to be seen once.
+        """
+        looks = slice(self.looks, self.looks + len(heights))
+        added = slice(self.size, self.size + len(transitions))
+        self.heights[looks], self.colors[looks] = heights, colors
+        transitions = transitions.copy()
+        transitions["look"] += self.looks
+        transitions["next_look"] += np.where(transitions["next_look"] >= 0, self.looks, 0)
+        self.transitions[added] = transitions
+        self.priorities[added] = self.priorities[: self.size].max() if self.size else 1.0
+        self.looks, self.size = looks.stop, added.stop
 
     def sample(
         self, batch: int, rng: np.random.Generator, *, exponent: float, importance: float

@@ -1,0 +1,150 @@
+"""What is learnt from a batch of experience (paper, sections III-A and III-D)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+
+from policies.heightmap import Heightmap, Workspace
+from policies.networks.light import LightNet
+from policies.rotation import patches, sample
+from policies.state import BLUE, RED, encode
+from tools.train.config import Learning
+from tools.train.replay import Replay, unpack_height
+
+
+class Learner:
+    """Network and optimiser. Randomness comes from the generator that is passed in."""
+
+    def __init__(self, network: LightNet, learning: Learning) -> None:
+        self.network = network.to(memory_format=torch.channels_last)
+        self._learning = learning
+        self._optimizer = torch.optim.Adam(
+            network.parameters(),
+            lr=learning.learning_rate,
+            betas=learning.betas,
+            weight_decay=learning.weight_decay,
+        )
+
+    def state(self) -> dict[str, Any]:
+        return {"network": self.network.state_dict(), "optimizer": self._optimizer.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(state["optimizer"])
+
+    def set_learning_rate(self, rate: float) -> None:
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate
+
+    def update(
+        self, replay: Replay, rng: np.random.Generator, *, importance: float
+    ) -> dict[str, float]:
+        """One step on one prioritized batch. Returns the losses."""
+        learning = self._learning
+        picks, weights = replay.sample(
+            learning.batch, rng, exponent=learning.priority_exponent, importance=importance
+        )
+        batch = replay.transitions[picks]
+        target = torch.from_numpy(batch["reward"].copy())
+        if learning.discount:
+            target = target + learning.discount * self._value_of_next(replay, batch)
+
+        states = _states(replay, batch["look"])
+        cuts, places = patches(
+            states,
+            torch.from_numpy(batch["rotation"].astype(np.int64)),
+            torch.from_numpy(batch["row"].astype(np.int64)),
+            torch.from_numpy(batch["col"].astype(np.int64)),
+            size=LightNet.PATCH,
+            stride=LightNet.STRIDE,
+        )
+        cuts, places = augmented(cuts, places, batch["push"], rng)
+        maps = self.network(cuts.contiguous(memory_format=torch.channels_last))
+        grasp, push = sample(maps.grasp, places)[:, 0], sample(maps.push, places)[:, 0]
+        q = torch.where(torch.from_numpy(batch["push"].copy()), push, grasp)
+        critic_one = (torch.from_numpy(weights) * F.huber_loss(q, target, reduction="none")).mean()
+
+        tried = torch.from_numpy(batch["grasped"] >= 0)
+        label = torch.from_numpy(batch["grasped"].astype(np.float32)).clamp(min=0)
+        logits = self.network.evaluate(maps.features, places)
+        doubt = F.binary_cross_entropy_with_logits(logits, label, reduction="none")
+        critic_two = (doubt * tried).sum() / tried.sum().clamp(min=1)
+
+        self._optimizer.zero_grad(set_to_none=True)
+        (critic_one + critic_two).backward()
+        self._optimizer.step()
+        error = (q - target).detach()
+        replay.reprioritize(picks, error.numpy())
+        return {
+            "huber": critic_one.item(),
+            "bce": critic_two.item(),
+            "td_error": error.abs().mean().item(),
+        }
+
+    @torch.no_grad()
+    def _value_of_next(self, replay: Replay, batch: npt.NDArray[np.void]) -> torch.Tensor:
+        """max Q_grasp(s', a') over the ten grasps that were best when s' was seen (paper, eq. 1):
+        the stored label is refreshed with today's weights."""
+        value = torch.zeros(len(batch))
+        going_on = np.flatnonzero(batch["next_look"] >= 0)
+        if going_on.size == 0:
+            return value
+        actions = batch["next_grasps"][going_on].astype(np.int64)
+        count = actions.shape[1]
+        states = _states(replay, batch["next_look"][going_on])
+        cuts, places = patches(
+            states.repeat_interleave(count, 0),
+            *(torch.from_numpy(actions[..., i].reshape(-1)) for i in range(3)),
+            size=LightNet.PATCH,
+            stride=LightNet.STRIDE,
+        )
+        q = sample(self.network(cuts).grasp, places)[:, 0].view(-1, count)
+        value[torch.from_numpy(going_on)] = q.amax(1)
+        return value
+
+
+# A state does not say where the workspace lies.
+_ANYWHERE = Workspace(x_min=0.0, y_min=0.0, table_z=0.0)
+
+
+def _states(replay: Replay, looks: npt.NDArray[np.int32]) -> torch.Tensor:
+    """(n, C, 224, 224) of stored looks."""
+    heightmaps = (
+        Heightmap(
+            workspace=_ANYWHERE,
+            color=np.asarray(replay.colors[look]),
+            height=unpack_height(replay.heights[look]),
+        )
+        for look in looks
+    )
+    return torch.stack([encode(heightmap, goal=False) for heightmap in heightmaps])
+
+
+def augmented(
+    cuts: torch.Tensor,
+    places: torch.Tensor,
+    push: npt.NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Patches (n, C, h, w) and places (n, 2) under the symmetries of the task.
+
+    Gripper and table have no left and right, so half of the patches are mirrored about the
+    action's direction. A grasp turned by half a turn is the same grasp. Colours mean nothing
+    to a block: their channels change places.
+    """
+    count = len(cuts)
+    mirror = torch.from_numpy(rng.random(count) < 0.5)
+    turn = torch.from_numpy((rng.random(count) < 0.5) & ~push)
+    cuts = torch.where(mirror[:, None, None, None], cuts.flip(3), cuts)
+    cuts = torch.where(turn[:, None, None, None], cuts.flip(2, 3), cuts)
+    signs = torch.ones_like(places)
+    signs[mirror, 0] *= -1
+    signs[turn] *= -1
+    channels = RED + rng.permuted(np.tile(np.arange(3), (count, 1)), axis=1)
+    cuts[:, RED : BLUE + 1] = cuts[torch.arange(count)[:, None], torch.from_numpy(channels)]
+    return cuts, places * signs
