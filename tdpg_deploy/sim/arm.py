@@ -25,7 +25,8 @@ class SimArm:
         self._world = world
         self._robot = world.robot
         self._X_flange_tool = world.config.arm.X_flange_tool.transform()
-        self._q: Array = np.array(world.config.arm.home)  # tells which branch a gantry stands for
+        home: Array = np.array(world.config.arm.home)
+        self._q = home  # tells which branch a gantry stands for
         self._zero = np.zeros(3)
         self._stop = False
 

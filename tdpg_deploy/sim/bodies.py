@@ -84,7 +84,7 @@ def _arch() -> list[Array]:
         box(leg, depth, height, center=(side * (radius + leg / 2), 0, height / 2))
         for side in (-1, 1)
     ]
-    angles = np.linspace(0, np.pi, 7)
+    angles = np.linspace(0, np.pi, 5)
     crown = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     wedges = []
     for a, b in pairwise(crown):

@@ -66,7 +66,7 @@ class SimGripper:
         self._goal = float(np.clip(width, 0.0, MAX_WIDTH))
         self._closing = self._goal < reached
         target, slow = reached, 0
-        while slow < BLOCKED_STEPS:
+        while slow < BLOCKED_STEPS and (target != self._goal or abs(reached - target) > AT_GOAL):
             travel = np.clip(self._goal - target, -speed * TIME_STEP, speed * TIME_STEP)
             target += float(travel)
             robot.drive_fingers(target, force)

@@ -49,7 +49,10 @@ def connect() -> int:
 def add_static(client: int, piece: ConvexPiece, *, friction: float) -> int:
     """A piece that never moves, its vertices in base. Returns its body id."""
     body: int = pybullet.createMultiBody(
-        baseMass=0, baseCollisionShapeIndex=collision_shape(client, [piece]), physicsClientId=client
+        baseMass=0,
+        baseCollisionShapeIndex=collision_shape(client, [piece]),
+        useMaximalCoordinates=True,  # else it never sleeps, and all that lies on it is collided
+        physicsClientId=client,
     )
     pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
     return body
