@@ -16,7 +16,8 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 
 from policies.primitives import Primitive, Push
-from tdpg_deploy.episode_log.channels import BASE, timestamp, vector
+from tdpg_deploy.episode_log.channels import BASE
+from tdpg_deploy.episode_log.messages import timestamp, vector
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.plan import MoveLinear, Plan
 

@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
 
-from tdpg_deploy.episode_log import channels, documents
+from tdpg_deploy.episode_log import channels, documents, messages
 from tdpg_deploy.episode_log.about import METADATA, VERSIONS, About, from_metadata
 from tdpg_deploy.episode_log.entries import (
     Entry,
@@ -127,14 +127,14 @@ def _look(parts: _Parts, closing: Message) -> Look | None:
         return None
     color, depth, calibration, heightmap = data
     frame = RgbdFrame(
-        color=channels.decode_picture(channels.parse(CompressedImage, color)),
-        depth=channels.decode_depth(channels.parse(RawImage, depth)),
-        intrinsics=channels.decode_calibration(channels.parse(CameraCalibration, calibration)),
+        color=messages.decode_picture(messages.parse(CompressedImage, color)),
+        depth=messages.decode_depth(messages.parse(RawImage, depth)),
+        intrinsics=messages.decode_calibration(messages.parse(CameraCalibration, calibration)),
         captured_at=document.captured_at,
         sequence=document.sequence,
         serial=document.serial,
     )
-    return Look(frame=frame, heightmap=channels.decode_heightmap(channels.parse(Grid, heightmap)))
+    return Look(frame=frame, heightmap=messages.decode_heightmap(messages.parse(Grid, heightmap)))
 
 
 def _intent(parts: _Parts, closing: Message) -> Intent | None:
@@ -152,8 +152,8 @@ def _arm_state(parts: _Parts, closing: Message) -> ArmState | None:
     if data is None:
         return None
     joints, transforms = data
-    q, qd = channels.decode_joints(channels.parse(JointStates, joints))
-    pose = channels.decode_transform(channels.parse(FrameTransforms, transforms), channels.TOOL)
+    q, qd = messages.decode_joints(messages.parse(JointStates, joints))
+    pose = messages.decode_transform(messages.parse(FrameTransforms, transforms), channels.TOOL)
     if pose is None:
         return None
     force = np.array([document.x, document.y, document.z])

@@ -24,7 +24,7 @@ from policies.heightmap import Heightmap
 from policies.policy import Decision
 from tdpg_deploy import __version__
 from tdpg_deploy.episode_log import about as head
-from tdpg_deploy.episode_log import channels, documents, pictures, plan_scene
+from tdpg_deploy.episode_log import channels, documents, messages, pictures, plan_scene
 from tdpg_deploy.episode_log.entries import (
     Conclusion,
     End,
@@ -64,8 +64,8 @@ class EpisodeWriter:
     def __enter__(self) -> EpisodeWriter:
         if self.path.exists():
             raise LogError(f"{self.path}: exists already, and a log is never overwritten")
-        self._offset = channels.nanoseconds(self._about.started_at)
-        self._offset -= channels.nanoseconds(self._now())
+        self._offset = messages.nanoseconds(self._about.started_at)
+        self._offset -= messages.nanoseconds(self._now())
         try:
             self.part.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.part.open("xb")
@@ -101,18 +101,20 @@ class EpisodeWriter:
         with self._guard():
             self._protobuf(
                 channels.TRANSFORMS,
-                channels.encode_transform(channels.BASE, channels.CAMERA, X_base_camera, time),
+                messages.encode_transform(channels.BASE, channels.CAMERA, X_base_camera, time),
                 time,
             )
             self._protobuf(
-                channels.CALIBRATION, channels.encode_calibration(frame.intrinsics, time), time
+                channels.CALIBRATION, messages.encode_calibration(frame.intrinsics, time), time
             )
-            color = channels.encode_picture(frame.color, time, channels.CAMERA)
+            color = messages.encode_picture(frame.color, time, channels.CAMERA)
             self._protobuf(channels.COLOR, color, time)
-            self._protobuf(channels.DEPTH, channels.encode_depth(frame.depth, time), time)
-            self._protobuf(channels.HEIGHTMAP, channels.encode_heightmap(heightmap, time), time)
-            seen = channels.encode_picture(pictures.enlarge(heightmap.color), time, "")
+            self._protobuf(channels.DEPTH, messages.encode_depth(frame.depth, time), time)
+            self._protobuf(channels.HEIGHTMAP, messages.encode_heightmap(heightmap, time), time)
+            seen = messages.encode_picture(pictures.enlarge(heightmap.color), time, "")
             self._protobuf(channels.HEIGHTMAP_COLOR, seen, time)
+            points = messages.encode_points(heightmap, time)
+            self._protobuf(channels.HEIGHTMAP_POINTS, points, time)
             self._flush()
             look = LookDocument(
                 sequence=frame.sequence, serial=frame.serial, captured_at=frame.captured_at
@@ -136,7 +138,7 @@ class EpisodeWriter:
         with self._guard():
             if self._heightmap is not None:
                 for topic, picture in pictures.q_maps(self._heightmap, decision).items():
-                    self._protobuf(topic, channels.encode_picture(picture, time, ""), time)
+                    self._protobuf(topic, messages.encode_picture(picture, time, ""), time)
                 self._flush()
             self._document(channels.DECISION, LoggedDecision.of(decision), time)
             self._document(channels.PLAN, PlanDocument(plan=plan, stamp=stamp), time)
@@ -150,10 +152,10 @@ class EpisodeWriter:
     def arm_state(self, state: ArmState) -> None:
         time = self._time(state.stamp)
         with self._guard():
-            self._protobuf(channels.JOINTS, channels.encode_joints(state.q, state.qd, time), time)
+            self._protobuf(channels.JOINTS, messages.encode_joints(state.q, state.qd, time), time)
             self._protobuf(
                 channels.TRANSFORMS,
-                channels.encode_transform(channels.BASE, channels.TOOL, state.X_base_tool, time),
+                messages.encode_transform(channels.BASE, channels.TOOL, state.X_base_tool, time),
                 time,
             )
             x, y, z = state.force.tolist()
@@ -202,12 +204,12 @@ class EpisodeWriter:
             self._channels[topic] = self._mcap.register_channel(topic, "json", schema)
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
-        time = channels.nanoseconds(self._about.started_at)
+        time = messages.nanoseconds(self._about.started_at)
         self._mcap.add_attachment(time, time, name, media_type, data)
 
     def _time(self, stamp: float) -> int:
         """Nanoseconds since the UNIX epoch of a time on the cell's clock."""
-        return self._offset + channels.nanoseconds(stamp)
+        return self._offset + messages.nanoseconds(stamp)
 
     def _protobuf(self, topic: str, message: Message, time: int) -> None:
         assert isinstance(message, channels.PROTOBUF[topic])
@@ -217,7 +219,7 @@ class EpisodeWriter:
         self._add(topic, documents.encode(value), time)
 
     def _line(self, text: str, time: int, *, warning: bool = False) -> None:
-        self._protobuf(channels.LOG_LINES, channels.encode_line(text, time, warning=warning), time)
+        self._protobuf(channels.LOG_LINES, messages.encode_line(text, time, warning=warning), time)
 
     def _flush(self) -> None:
         """Complete the chunk and hand all to the operating system."""
