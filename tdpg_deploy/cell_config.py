@@ -111,6 +111,9 @@ class BinSection(_Section):
     position: tuple[Metres, Metres, Metres] = (0.20, -0.50, 0.05)
 
 
+DepthPreset = Literal["default", "hand", "high accuracy", "high density", "medium density"]
+
+
 class CameraSection(_Section):
     """The D435. `X_base_camera` is its calibrated pose: optical axes, z forward."""
 
@@ -120,6 +123,11 @@ class CameraSection(_Section):
     X_base_camera: Pose
     max_frame_age: Annotated[Seconds, Field(gt=0, le=5)] = 0.5
     frames_averaged: Annotated[int, Field(ge=1, le=60)] = 1
+    fps: Literal[6, 15, 30] = 30
+    preset: DepthPreset | None = None  # leaves the camera as it is
+    emitter: bool = True  # the projector of dots
+    filters: tuple[Literal["spatial", "temporal", "hole filling"], ...] = ()  # of librealsense
+    recording: str | None = None  # played back in place of a camera
 
     @property
     def height(self) -> int:
@@ -142,9 +150,19 @@ class GripperSection(_Section):
 
     driver: Literal["robotiq_rtu", "robotiq_rtu_tcp", "robotiq_urcap"] = "robotiq_urcap"
     port: str | None = None  # /dev/serial/by-id/... for robotiq_rtu
-    host: str | None = None  # defaults to the arm's host for robotiq_urcap
+    host: str | None = None  # defaults to the arm's host
+    tcp_port: Annotated[int, Field(ge=1, le=65535)] | None = None  # defaults to the driver's
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 9
+    open_counts: Annotated[int, Field(ge=0, le=50)] = 3  # gPO when open; differs per gripper
+    closed_counts: Annotated[int, Field(ge=180, le=255)] = 228  # gPO when closed on nothing
     force: Annotated[Newtons, Field(ge=10, le=235)] = 20.0
     speed: Annotated[MetresPerSecond, Field(gt=0, le=0.15)] = 0.10
+
+    @model_validator(mode="after")
+    def _serial_line_named(self) -> GripperSection:
+        if self.driver == "robotiq_rtu" and self.port is None:
+            raise ValueError('robotiq_rtu needs port = "/dev/serial/by-id/..."')
+        return self
 
 
 class Limits(_Section):

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable
 from typing import Protocol
 
+from tdpg_deploy.cell_config import GripperSection
 from tdpg_deploy.drivers.robotiq_registers import (
     Activation,
     Command,
@@ -16,11 +17,29 @@ from tdpg_deploy.drivers.robotiq_registers import (
     force_counts,
     speed_counts,
 )
+from tdpg_deploy.drivers.robotiq_rtu import TUNNEL_PORT, rtu_over_tcp_wire, serial_wire
+from tdpg_deploy.drivers.robotiq_urcap import URCAP_PORT, UrcapWire
 from tdpg_deploy.errors import DeviceError, DeviceTimeout, GripperError
 from tdpg_deploy.hal import Clock, GripperState, Holding
 
 POLL = 0.010  # s; the gripper renews its registers at 200 Hz (manual, 4.3)
 CONTACT_LAG = 0.060  # s; gOBJ may show the last motion's end this long after gPR has echoed
+
+
+def robotiq_gripper(section: GripperSection, *, arm_host: str, clock: Clock) -> RobotiqGripper:
+    """The gripper of a cell file, on its wire. Opens nothing."""
+    scale = CountScale(open_counts=section.open_counts, closed_counts=section.closed_counts)
+    return RobotiqGripper(_wire(section, section.host or arm_host), clock=clock, scale=scale)
+
+
+def _wire(section: GripperSection, host: str) -> RobotiqWire:
+    if section.driver == "robotiq_rtu":
+        assert section.port is not None  # the section has validated it
+        return serial_wire(section.port, unit_id=section.unit_id)
+    if section.driver == "robotiq_rtu_tcp":
+        port = section.tcp_port or TUNNEL_PORT
+        return rtu_over_tcp_wire(host, port=port, unit_id=section.unit_id)
+    return UrcapWire(host, port=section.tcp_port or URCAP_PORT)
 
 
 class RobotiqWire(Protocol):
