@@ -25,9 +25,8 @@ class SimArm:
         self._world = world
         self._robot = world.robot
         self._X_flange_tool = world.config.arm.X_flange_tool.transform()
-        home: Array = np.array(world.config.arm.home)
-        self._q = home  # tells which branch a gantry stands for
-        self._zero = np.zeros(3)
+        self._q: Array = np.array(world.config.arm.home)  # which branch a gantry stands for
+        self._zero: Array = np.zeros(3)
         self._stop = False
 
     def connect(self) -> None:

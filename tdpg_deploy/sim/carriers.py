@@ -58,7 +58,7 @@ class Ur5:
     def flange(self, joints: Array) -> Transform:
         return Transform.from_matrix(forward_batch(joints))
 
-    def arm_joints(self, joints: Array, near: Array) -> Array:  # noqa: ARG002, a gantry needs it
+    def arm_joints(self, joints: Array, near: Array) -> Array:
         return joints
 
     def along_joints(self, start: Array, q: Array, share: Array) -> Array:

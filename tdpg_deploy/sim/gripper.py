@@ -38,7 +38,7 @@ class SimGripper:
     def close(self) -> None:
         """Keeps the fingers, and what is between them, as they are."""
 
-    def activate(self, *, deadline: float = 10.0) -> None:  # noqa: ARG002, takes no time here
+    def activate(self, *, deadline: float = 10.0) -> None:
         self._active = True
 
     def state(self) -> GripperState:

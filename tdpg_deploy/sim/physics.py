@@ -39,7 +39,7 @@ def connect() -> int:
         fixedTimeStep=TIME_STEP,
         numSolverIterations=SOLVER_ITERATIONS,
         solverResidualThreshold=SOLVER_RESIDUAL,
-        contactBreakingThreshold=0.02,
+        contactBreakingThreshold=0.005,
         deterministicOverlappingPairs=1,
         physicsClientId=client,
     )
