@@ -1,0 +1,136 @@
+"""First words with a UR controller, each answered before a deadline.
+
+ur_rtde's constructors wait for ever on a peer that accepts and never answers, and its
+messages do not tell a switched-off controller from a wrong address. So this asks first.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from types import TracebackType
+
+from tdpg_deploy.drivers.ur5_status import ControllerVersion, RobotMode, SafetyMode
+from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable
+
+DASHBOARD_PORT = 29999
+SCRIPT_PORT = 30003
+RTDE_PORT = 30004
+
+
+class Connection:
+    """A TCP connection that raises DeviceError instead of waiting past `deadline` seconds."""
+
+    def __init__(self, host: str, port: int, *, deadline: float) -> None:
+        self._name = f"the UR controller at {host}:{port}"
+        self._end = time.monotonic() + deadline
+        self._buffer = b""
+        try:
+            self._socket = socket.create_connection((host, port), timeout=deadline)
+        except TimeoutError as error:
+            raise DeviceTimeout(
+                f"{self._name} did not answer within {deadline:.1f} s: is it switched on, is the "
+                "cable in, is arm.host right?"
+            ) from error
+        except OSError as error:
+            raise DeviceUnreachable(
+                f"{self._name} cannot be reached ({error.strerror}): is it switched on and booted, "
+                "is arm.host right?"
+            ) from error
+
+    def __enter__(self) -> Connection:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._socket.close()
+
+    def send(self, data: bytes) -> None:
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def line(self) -> str:
+        """Up to the next newline."""
+        while b"\n" not in self._buffer:
+            self._buffer += self._receive()
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line.decode("utf-8", "replace").strip()
+
+    def exactly(self, count: int) -> bytes:
+        while len(self._buffer) < count:
+            self._buffer += self._receive()
+        data, self._buffer = self._buffer[:count], self._buffer[count:]
+        return data
+
+    def _receive(self) -> bytes:
+        try:
+            self._socket.settimeout(max(self._end - time.monotonic(), 1e-3))
+            data = self._socket.recv(4096)
+        except TimeoutError as error:
+            raise DeviceTimeout(
+                f"{self._name} accepts connections and does not answer: it is booting or hangs; "
+                "wait a minute, else restart it"
+            ) from error
+        except OSError as error:
+            raise self._lost(error) from error
+        if not data:
+            raise self._lost(None)
+        return data
+
+    def _lost(self, error: OSError | None) -> DeviceUnreachable:
+        why = error.strerror if error else "closed by the controller"
+        return DeviceUnreachable(f"the connection to {self._name} was lost ({why})")
+
+
+def ask_dashboard(host: str, *commands: str, deadline: float = 2.0) -> list[str]:
+    """The dashboard server's reply to each command. Raises DeviceError."""
+    with Connection(host, DASHBOARD_PORT, deadline=deadline) as connection:
+        connection.line()  # greeting
+        replies = []
+        for command in commands:
+            connection.send(f"{command}\n".encode())
+            replies.append(connection.line())
+        return replies
+
+
+def ask_version(host: str, *, deadline: float = 2.0) -> ControllerVersion:
+    """By RTDE: protocol version 2 ("V"), then the controller's version ("v")."""
+    with Connection(host, RTDE_PORT, deadline=deadline) as connection:
+        connection.send(struct.pack(">HBH", 5, ord("V"), 2))
+        connection.exactly(4)
+        connection.send(struct.pack(">HB", 3, ord("v")))
+        _, _, major, minor, bugfix, build = struct.unpack(">HB4I", connection.exactly(19))
+        return ControllerVersion(major=major, minor=minor, bugfix=bugfix, build=build)
+
+
+def ask_modes(host: str) -> tuple[int, int]:
+    """Robot mode and safety mode, as the dashboard tells them."""
+    robot, safety = ask_dashboard(host, "robotmode", "safetymode")
+    return (
+        _number(RobotMode, robot, RobotMode.NO_CONTROLLER),
+        _number(SafetyMode, safety, SafetyMode.UNDEFINED),
+    )
+
+
+def ask_remote_control(host: str) -> bool:
+    return ask_dashboard(host, "is in remote control")[0].lower() == "true"
+
+
+def check_script_port(host: str, *, deadline: float = 2.0) -> None:
+    """Raises DeviceError when no program could be uploaded."""
+    Connection(host, SCRIPT_PORT, deadline=deadline).__exit__(None, None, None)
+
+
+def _number(
+    modes: type[RobotMode] | type[SafetyMode], reply: str, unknown: RobotMode | SafetyMode
+) -> int:
+    """Of a reply such as `Robotmode: RUNNING`."""
+    name = reply.rpartition(":")[2].strip().upper()
+    return modes[name] if name in modes.__members__ else unknown
