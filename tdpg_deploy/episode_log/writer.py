@@ -58,6 +58,7 @@ class EpisodeWriter:
         self._offset = 0
         self._channels: dict[str, int] = {}
         self._heightmap: Heightmap | None = None
+        self._in_images = False
         self._step = 0
         self._failure: str | None = None
 
@@ -115,7 +116,6 @@ class EpisodeWriter:
             self._protobuf(channels.HEIGHTMAP_COLOR, seen, time)
             points = messages.encode_points(heightmap, time)
             self._protobuf(channels.HEIGHTMAP_POINTS, points, time)
-            self._flush()
             look = LookDocument(
                 sequence=frame.sequence, serial=frame.serial, captured_at=frame.captured_at
             )
@@ -139,7 +139,6 @@ class EpisodeWriter:
             if self._heightmap is not None:
                 for topic, picture in pictures.q_maps(self._heightmap, decision).items():
                     self._protobuf(topic, messages.encode_picture(picture, time, ""), time)
-                self._flush()
             self._document(channels.DECISION, LoggedDecision.of(decision), time)
             self._document(channels.PLAN, PlanDocument(plan=plan, stamp=stamp), time)
             self._protobuf(channels.PLAN_SCENE, plan_scene.scene(plan, decision.q, time), time)
@@ -226,6 +225,10 @@ class EpisodeWriter:
         self._mcap.flush()  # type: ignore[no-untyped-call]
 
     def _add(self, topic: str, data: bytes, time: int) -> None:
+        is_image = topic in channels.IMAGES
+        if is_image != self._in_images:
+            self._flush()
+            self._in_images = is_image
         log_time = self._time(self._now())
         self._mcap.add_message(self._channels[topic], log_time, data, publish_time=time)
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import resource
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from policies.heightmap import SIZE, Heightmap, Workspace
@@ -39,7 +41,7 @@ class Call:
     """One call of a recorder."""
 
     name: str
-    arguments: tuple[object, ...]
+    arguments: tuple[Any, ...]
     stamp: float | None = None
 
     def make(self, recorder: EpisodeRecorder) -> None:
@@ -219,26 +221,19 @@ ABOUT = About(
     versions={"numpy": "2.2.6", "torch": "2.7.0"},
 )
 
-Write = Callable[..., Path]
 
-
-@pytest.fixture
-def synthetic() -> Synthetic:
-    return Synthetic()
-
-
-@pytest.fixture
-def about() -> About:
-    return ABOUT
-
-
-@pytest.fixture(scope="session")
-def logged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Call]]:
-    """A log that is whole, and the calls that made it. Not to be altered."""
-    synthetic = Synthetic()
-    calls = synthetic.episode()
-    path = tmp_path_factory.mktemp("log") / "episode.mcap"
-    with EpisodeWriter(path, ABOUT, now=synthetic.now) as writer:
+def write(path: Path, calls: list[Call], *, now: Callable[[], float]) -> None:
+    with EpisodeWriter(path, ABOUT, now=now) as writer:
         for call in calls:
             call.make(writer)
-    return path, calls
+
+
+@contextlib.contextmanager
+def small_disk(size: int) -> Iterator[None]:
+    """Within it no file of this process grows beyond so many bytes; the kernel sees to that."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
