@@ -70,8 +70,7 @@ def inverse_batch(X_base_flange: Array) -> Array:
 
     # Wrist 1..3's offset d4 stands square on the plane of the arm, which turns by q1.
     p5 = p - D6 * R[..., :, 2]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        opening = np.arccos(D4 / np.hypot(p5[..., 0], p5[..., 1]))
+    opening = _arccos(D4 / np.maximum(np.hypot(p5[..., 0], p5[..., 1]), 1e-12))
     azimuth = np.arctan2(p5[..., 1], p5[..., 0])
     q1 = azimuth[..., None] + np.pi / 2 + _SHOULDER * opening[..., None]
     c1, s1 = np.cos(q1), np.sin(q1)
@@ -87,10 +86,14 @@ def inverse_batch(X_base_flange: Array) -> Array:
     q234 = np.arctan2(-(c1 * y5[..., 0] + s1 * y5[..., 1]), y5[..., 2])
     x = c1 * p5[..., None, 0] + s1 * p5[..., None, 1] - D5 * np.sin(q234)
     y = p5[..., None, 2] - D1 + D5 * np.cos(q234)
-    with np.errstate(invalid="ignore"):
-        q3 = _ELBOW * np.arccos((x**2 + y**2 - A2**2 - A3**2) / (2 * A2 * A3))
+    q3 = _ELBOW * _arccos((x**2 + y**2 - A2**2 - A3**2) / (2 * A2 * A3))
     q2 = np.arctan2(y, x) - np.arctan2(A3 * np.sin(q3), A2 + A3 * np.cos(q3))
     return _wrapped(np.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], axis=-1))
+
+
+def _arccos(cosine: Array) -> Array:
+    """nan out of reach; a stretched arm stays within reach in spite of rounding."""
+    return np.where(np.abs(cosine) <= 1 + 1e-9, np.arccos(np.clip(cosine, -1, 1)), np.nan)
 
 
 def _wrapped(angle: Array) -> Array:
