@@ -7,22 +7,30 @@ import copy
 import torch
 from torch import nn
 
+from policies.networks.densenet import GROWTH
 from policies.networks.light import LightNet
 from policies.networks.maps import Network
+from policies.networks.two_towers import TwoTowerNet
 
-KINDS = ("light",)
+# What `width` may be: channels of the light network at stride 2, DenseNet's growth rate.
+WIDTHS = {"light": range(4, 65), "densenet121": range(GROWTH, GROWTH + 1)}
 
 
 def build(kind: str, *, goal: bool, width: int) -> Network:
-    """A network with fresh weights. kind: one of KINDS. width: channels at stride 2 (light)."""
-    if kind == "light":
-        return LightNet(goal=goal, width=width)
-    raise ValueError(f"network kind {kind!r} is unknown; known are {', '.join(KINDS)}")
+    """A network with fresh weights; kind and width as in WIDTHS."""
+    if kind not in WIDTHS:
+        raise ValueError(f"network {kind!r} is unknown; known are {', '.join(WIDTHS)}")
+    if width not in WIDTHS[kind]:
+        widths = WIDTHS[kind]
+        raise ValueError(f"width = {width} is not within {widths[0]} to {widths[-1]} for {kind}")
+    return LightNet(goal=goal, width=width) if kind == "light" else TwoTowerNet(goal=goal)
 
 
 def for_inference(network: Network, dtype: torch.dtype) -> Network:
-    """A frozen copy: eval mode, no gradients, channels last."""
-    frozen = copy.deepcopy(network).eval().requires_grad_(False).to(dtype)
+    """A frozen copy: eval mode, no gradients, folded, channels last."""
+    frozen = copy.deepcopy(network).eval().requires_grad_(False)
+    frozen.fold()
+    frozen = frozen.to(dtype)
     for module in frozen.modules():
         if isinstance(module, nn.Conv2d):
             module.weight.data = module.weight.contiguous(memory_format=torch.channels_last)

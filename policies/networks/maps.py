@@ -29,3 +29,6 @@ class Network(nn.Module, ABC):
     def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         """Features (n, c, h', w') and grasps' places in them (n, 2) in [-1, 1] -> (n,) logits
         of P_success."""
+
+    def fold(self) -> None:
+        """Rewrite eval-mode computations into fewer, where there are any."""
