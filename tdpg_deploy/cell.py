@@ -1,4 +1,4 @@
-"""A cell, simulated or real: the sole place that knows which."""
+"""A cell, simulated or real. `open_cell` is the sole place that knows which."""
 
 from __future__ import annotations
 
@@ -6,11 +6,26 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.hal import Arm, Camera, Clock, Gripper
 
+if TYPE_CHECKING:
+    from tdpg_deploy.sim.scenes import Scene
+
 Truth = Callable[[], Mapping[str, int]]
+
+
+def open_cell(
+    config: CellConfig, *, real: bool = False, scene: Scene | None = None, seed: int = 0
+) -> Cell:
+    """The cell's devices, not yet connected: `with open_cell(config) as cell:` connects them.
+
+    scene: what lies on the simulated table, None for nothing; seed: of how it falls and of the
+    camera's noise. Both are for the simulated cell only.
+    """
+    return _real_cell(config) if real else _simulated_cell(config, scene, seed)
 
 
 class Cell:
@@ -44,7 +59,7 @@ class Cell:
         with ExitStack() as exits:
             if self._release is not None:
                 exits.callback(self._release)
-            for device in (self.camera, self.arm, self.gripper):
+            for device in (self.arm, self.gripper, self.camera):  # the one to fear first
                 exits.callback(device.close)  # also when its connect fails half-way
                 device.connect()
             exits.callback(self.arm.stop)
@@ -71,3 +86,42 @@ class MachineClock:
 
     def sleep(self, seconds: float) -> None:
         time.sleep(seconds)
+
+
+def _real_cell(config: CellConfig) -> Cell:
+    from tdpg_deploy.drivers.realsense import RealsenseCamera
+    from tdpg_deploy.drivers.robotiq import robotiq_gripper
+    from tdpg_deploy.drivers.ur5 import UrArm
+
+    clock = MachineClock()
+    return Cell(
+        config=config,
+        camera=RealsenseCamera(config.camera, clock=clock),
+        arm=UrArm(config.arm, clock=clock),
+        gripper=robotiq_gripper(config.gripper, arm_host=config.arm.host, clock=clock),
+        clock=clock,
+    )
+
+
+def _simulated_cell(config: CellConfig, scene: Scene | None, seed: int) -> Cell:
+    from tdpg_deploy.sim.arm import SimArm
+    from tdpg_deploy.sim.camera import SimCamera
+    from tdpg_deploy.sim.gripper import SimGripper
+    from tdpg_deploy.sim.scenes import Scene
+    from tdpg_deploy.sim.world import Where, World
+
+    world = World(config, Scene(objects=()) if scene is None else scene, seed=seed)
+
+    def truth() -> dict[str, int]:
+        places = [state.where for state in world.objects()]
+        return {where.value: places.count(where) for where in Where}
+
+    return Cell(
+        config=config,
+        camera=SimCamera(world, config),
+        arm=SimArm(world),
+        gripper=SimGripper(world),
+        clock=world.clock,
+        truth=truth,
+        release=world.close,
+    )

@@ -79,3 +79,4 @@ class EndReason(Enum):
     NOTHING_SEEN = "nothing seen"  # the depth image is unknown: not the same as an empty table
     DEVICE_ERROR = "device error"
     OPERATOR_STOP = "operator stop"
+    FAILED = "failed"  # not the devices: this program, its log or its disk

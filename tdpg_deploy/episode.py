@@ -1,0 +1,254 @@
+"""The loop: look, decide, plan, check, say so, act, look again, conclude. The same for
+training, evaluation, the simulated and the real cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from policies.errors import NoActionError
+from policies.heightmap import Heightmap, Workspace
+from policies.policy import Decider, Decision
+from policies.primitives import Grasp, Primitive
+from tdpg_deploy.cell import Cell
+from tdpg_deploy.change import changed, gone
+from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
+from tdpg_deploy.errors import DeviceError, LogError, PlanRefused
+from tdpg_deploy.execution import execute, held, make_ready
+from tdpg_deploy.motion import plan_primitive
+from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
+from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.plan import Plan
+from tdpg_deploy.safety import check
+
+Confirm = Callable[[Decision, Plan], bool]
+
+OBJECT_RISE = 0.01  # m; no block is thinner than 25 mm
+OBJECT_PIXELS = 100  # the smallest face of a block has 312
+MOSTLY_KNOWN = 0.8  # share of the map to be known before an empty table is believed
+BARELY_KNOWN = 0.5
+GOAL_PIXELS = 30
+MAX_REFUSALS = 20  # per look
+
+
+def run_episode(
+    cell: Cell,
+    policy: Decider,
+    *,
+    rng: np.random.Generator,
+    log: EpisodeRecorder,
+    goal: bool = False,
+    confirm: Confirm | None = None,
+) -> EpisodeResult:
+    """Act until an EndReason holds. `cell` is connected.
+
+    confirm: asked before each action; a no ends the episode as the operator's stop.
+    A device error or Ctrl-C ends the episode too: the arm is stopped and the result says so.
+    Anything else, such as a full disk under the log, stops the arm, ends the log and is raised.
+    """
+    episode = _Episode(cell=cell, policy=policy, rng=rng, log=log, goal=goal, confirm=confirm)
+    try:
+        result = episode.result(episode.run())
+    except KeyboardInterrupt:
+        _stop(cell)
+        result = episode.result(EndReason.OPERATOR_STOP)
+    except DeviceError as error:
+        _stop(cell)
+        result = episode.result(EndReason.DEVICE_ERROR, error=f"{type(error).__name__}: {error}")
+    except BaseException as error:
+        _stop(cell)
+        failed = episode.result(EndReason.FAILED, error=f"{type(error).__name__}: {error}")
+        with suppress(LogError):  # the first error is the one to report
+            log.end(failed, stamp=cell.clock.now())
+        raise
+    log.end(result, stamp=cell.clock.now())
+    return result
+
+
+def _stop(cell: Cell) -> None:
+    with suppress(DeviceError):
+        cell.arm.stop()
+
+
+@dataclass(kw_only=True)
+class _Counts:
+    actions: int = 0
+    grasps: int = 0
+    pushes: int = 0
+    grasp_successes: int = 0
+    push_successes: int = 0
+    delivered: int = 0
+    refused: int = 0
+    failures_in_a_row: int = 0
+
+    def add(self, outcome: Outcome, max_width: float) -> None:
+        success = outcome.success is Verdict.YES
+        self.actions += 1
+        self.failures_in_a_row = 0 if success else self.failures_in_a_row + 1
+        if isinstance(outcome, GraspOutcome):
+            self.grasps += 1
+            self.grasp_successes += success
+            self.delivered += held(outcome.width_at_release, max_width) is Verdict.YES
+        else:
+            self.pushes += 1
+            self.push_successes += success
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Futile:
+    """An action that failed and moved nothing: not to be tried again until the map changes."""
+
+    primitive: Primitive
+    seen: Heightmap
+
+
+@dataclass(kw_only=True)
+class _Episode:
+    cell: Cell
+    policy: Decider
+    rng: np.random.Generator
+    log: EpisodeRecorder
+    goal: bool
+    confirm: Confirm | None
+    counts: _Counts = field(default_factory=_Counts)
+    futile: list[_Futile] = field(default_factory=list)
+    fetched_goal: bool = False
+
+    def __post_init__(self) -> None:
+        self.started = self.cell.clock.now()
+
+    def run(self) -> EndReason:
+        make_ready(self.cell, on_state=self.log.arm_state, on_gripper=self.log.gripper_state)
+        seen = self.look()
+        while (reason := self.end_reason(seen)) is None:
+            chosen = self.choose(seen)
+            if chosen is None:
+                return EndReason.NO_ACTION
+            decision, plan = chosen
+            if self.confirm is not None and not self.confirm(decision, plan):
+                return EndReason.OPERATOR_STOP
+            seen = self.act(decision, plan, seen)
+        return reason
+
+    def look(self) -> Heightmap:
+        cell, config = self.cell, self.cell.config
+        frame = cell.camera.capture()
+        x, y = config.workspace.x_range[0], config.workspace.y_range[0]
+        workspace = Workspace(x_min=x, y_min=y, table_z=config.workspace.table_z)
+        heightmap = build_heightmap(frame, config.X_base_camera, workspace)
+        self.log.observe(frame, heightmap)
+        return heightmap
+
+    def end_reason(self, seen: Heightmap) -> EndReason | None:
+        if self.fetched_goal:
+            return EndReason.GOAL_REACHED
+        known = float(seen.valid.mean())
+        if known < BARELY_KNOWN:
+            return EndReason.NOTHING_SEEN
+        if not has_objects(seen):
+            return EndReason.CLEARED if known >= MOSTLY_KNOWN else EndReason.NOTHING_SEEN
+        if self.goal and (seen.goal is None or int(seen.goal.sum()) < GOAL_PIXELS):
+            return EndReason.GOAL_LOST
+        limits = self.cell.config.episode
+        if self.counts.failures_in_a_row >= limits.max_failures:
+            return EndReason.STUCK
+        return EndReason.ACTION_LIMIT if self.counts.actions >= limits.max_actions else None
+
+    def choose(self, seen: Heightmap) -> tuple[Decision, Plan] | None:
+        """The best action whose plan passes; None when there is none."""
+        refused: list[Primitive] = []
+        while len(refused) < MAX_REFUSALS:
+            decision = self.decide(seen, refused)
+            if decision is None:
+                return None
+            try:
+                plan = plan_primitive(decision.primitive, seen, self.cell.config)
+                check(plan, self.cell.config)
+            except PlanRefused as error:
+                self.log.refused(decision, str(error), stamp=self.cell.clock.now())
+                self.counts.refused += 1
+                refused.append(decision.primitive)
+            else:
+                return decision, plan
+        return None
+
+    def decide(self, seen: Heightmap, refused: list[Primitive]) -> Decision | None:
+        """None when nothing is left. What was futile comes last, for the stuck guard to end."""
+        avoid = [*refused, *(action.primitive for action in self.futile)]
+        try:
+            return self.policy.decide(seen, self.rng, avoid=avoid)
+        except NoActionError:
+            if not self.futile:
+                return None
+        self.futile.clear()
+        try:
+            return self.policy.decide(seen, self.rng, avoid=refused)
+        except NoActionError:
+            return None
+
+    def act(self, decision: Decision, plan: Plan, before: Heightmap) -> Heightmap:
+        """Run the plan, look again and conclude. Returns what is seen now."""
+        cell, log = self.cell, self.log
+        log.intend(decision, plan, stamp=cell.clock.now())
+        outcome = execute(plan, cell, on_state=log.arm_state, on_gripper=log.gripper_state)
+        after = self.look()
+        outcome = witnessed(outcome, plan.primitive, before, after)
+        log.conclude(outcome, stamp=cell.clock.now())
+        self.counts.add(outcome, cell.gripper.max_width)
+
+        self.futile = [
+            action
+            for action in self.futile
+            if changed(action.seen, after, action.primitive) is not Verdict.YES
+        ]
+        if outcome.success is Verdict.YES:
+            self.fetched_goal = self.goal and took_goal(plan.primitive, before, after)
+        elif changed(before, after, plan.primitive) is not Verdict.YES:
+            self.futile.append(_Futile(primitive=plan.primitive, seen=before))
+        return after
+
+    def result(self, reason: EndReason, *, error: str | None = None) -> EpisodeResult:
+        counts, cell = self.counts, self.cell
+        return EpisodeResult(
+            reason=reason,
+            actions=counts.actions,
+            grasps=counts.grasps,
+            pushes=counts.pushes,
+            grasp_successes=counts.grasp_successes,
+            push_successes=counts.push_successes,
+            delivered=counts.delivered,
+            refused=counts.refused,
+            seconds=cell.clock.now() - self.started,
+            error=error,
+            truth=None if cell.truth is None else cell.truth(),
+        )
+
+
+# --- judgements -------------------------------------------------------------------------------
+
+
+def witnessed(
+    outcome: Outcome, primitive: Primitive, before: Heightmap, after: Heightmap
+) -> Outcome:
+    """The outcome with what the heightmaps say of it."""
+    if isinstance(outcome, GraspOutcome):
+        return replace(outcome, gone_from_map=gone(before, after, primitive))
+    return replace(outcome, changed=changed(before, after, primitive))
+
+
+def has_objects(heightmap: Heightmap) -> bool:
+    """Whether something is seen to rise above the table. Says nothing of what is unknown."""
+    with np.errstate(invalid="ignore"):
+        return int((heightmap.height > OBJECT_RISE).sum()) >= OBJECT_PIXELS
+
+
+def took_goal(primitive: Primitive, before: Heightmap, after: Heightmap) -> bool:
+    """Whether a successful action was a grasp on the goal, and the goal is no longer seen."""
+    if not isinstance(primitive, Grasp) or before.goal is None or after.goal is None:
+        return False
+    row, col = before.workspace.to_pixel(primitive.x, primitive.y)
+    return bool(before.goal[row, col]) and int(after.goal.sum()) < GOAL_PIXELS
