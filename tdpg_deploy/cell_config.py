@@ -194,6 +194,9 @@ class SimulationSection(_Section):
 
     carrier: Literal["ur5", "gantry"] = "ur5"
     depth_noise: bool = True
+    friction: Annotated[float, Field(ge=0.1, le=2)] = 0.6  # of blocks; Bullet multiplies a pair's
+    density: Annotated[float, Field(ge=50, le=5000)] = 650.0  # kg/m^3, beech wood
+    light: tuple[float, float, float] = (0.4, 0.5, 1.0)  # direction towards the lamp, base frame
     X_base_camera: Pose | None = None  # true pose; the calibrated one when absent
 
 

@@ -20,9 +20,7 @@ SOLVER_ITERATIONS = 60  # 20 let six grasps in ten slip, 60 almost none
 SOLVER_RESIDUAL = 1e-5  # ends the iteration early where little happens
 GRAVITY = 9.81  # m/s^2
 
-DENSITY = 650.0  # kg/m^3, beech wood
-# Bullet multiplies the friction of a pair: wood on rubber .72, on table .48, on wood .36.
-BLOCK_FRICTION = 0.6
+# Bullet multiplies the friction of a pair: wood (0.6) on rubber .72, on table .48, on wood .36.
 PAD_FRICTION = 1.2
 TABLE_FRICTION = 0.8
 HULL_MARGIN = 0.001  # m, how far Bullet's hulls reach beyond their corners
@@ -58,10 +56,12 @@ def add_static(client: int, piece: ConvexPiece, *, friction: float) -> int:
     return body
 
 
-def add_object(client: int, shape: Shape, X_base_object: Transform) -> int:
-    """A free body. Returns its body id."""
+def add_object(
+    client: int, shape: Shape, X_base_object: Transform, *, friction: float, density: float
+) -> int:
+    """A free body. density: kg/m^3. Returns its body id."""
     body: int = pybullet.createMultiBody(
-        baseMass=DENSITY * shape.volume,
+        baseMass=density * shape.volume,
         baseCollisionShapeIndex=collision_shape(client, shape.pieces),
         basePosition=X_base_object.translation.tolist(),
         baseOrientation=X_base_object.rotation.as_quat().tolist(),
@@ -71,7 +71,7 @@ def add_object(client: int, shape: Shape, X_base_object: Transform) -> int:
     pybullet.changeDynamics(
         body,
         -1,
-        lateralFriction=BLOCK_FRICTION,
+        lateralFriction=friction,
         restitution=0.0,
         angularDamping=ROLLING_DAMPING if shape.rolls else 0.04,
         activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING,

@@ -82,7 +82,13 @@ class World:
         carrier: Carrier = Gantry() if config.simulation.carrier == "gantry" else Ur5()
         self.robot = Robot(self._client, carrier, np.array(config.arm.home), MAX_WIDTH)
         self._bodies = [
-            physics.add_object(self._client, item.shape, item.X_base_object)
+            physics.add_object(
+                self._client,
+                item.shape,
+                item.X_base_object,
+                friction=config.simulation.friction,
+                density=config.simulation.density,
+            )
             for item in scene.objects
         ]
         self._resting = [False] * len(self._bodies)

@@ -39,7 +39,7 @@ class Randomization(_Section):
     """
 
     friction: float = Field(0.3, ge=0, lt=1)
-    mass: float = Field(0.3, ge=0, lt=1)
+    density: float = Field(0.3, ge=0, lt=1)
     camera_mm: float = Field(1.0, ge=0)
     camera_deg: float = Field(0.1, ge=0)
     lighting: bool = True

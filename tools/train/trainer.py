@@ -64,12 +64,19 @@ def train(config: TrainConfig, directory: Path, *, on_progress: Callable[[Progre
 
 
 def training_cell() -> CellConfig:
-    """The mock cell with a gantry in place of the arm, and the smaller picture."""
+    """The mock cell with a gantry in place of the arm, in a hurry, and the smaller picture."""
     cell = load_cell(DEFAULT_CELL)
+    hurry = {
+        "travel_speed": 1.0,
+        "acceleration": 5.0,
+        "joint_speed": 3.1,
+        "joint_acceleration": 10.0,
+    }
     return cell.model_copy(
         update={
             "camera": cell.camera.model_copy(update={"width": 640}),
             "simulation": cell.simulation.model_copy(update={"carrier": "gantry"}),
+            "limits": cell.limits.model_copy(update=hurry),
         }
     )
 
