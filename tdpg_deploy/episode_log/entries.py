@@ -87,6 +87,14 @@ class Look:
     heightmap: Heightmap
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class QPictures:
+    """Pictures of a decision's Q-maps: (448, 448, 3) uint8 RGB, brighter is better."""
+
+    push: npt.NDArray[np.uint8]
+    grasp: npt.NDArray[np.uint8]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
     """A decision whose plan was not run, and why."""
@@ -121,19 +129,21 @@ class End:
     stamp: float
 
 
-Entry: TypeAlias = Look | Refusal | Intent | ArmState | GripperState | Conclusion | End
+Entry: TypeAlias = Look | Refusal | QPictures | Intent | ArmState | GripperState | Conclusion | End
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """One planned action; or, as the last of an episode, refusals that led to none.
 
-    look, next_look: what was seen before and after; None if images were left out or are lost.
+    look, next_look: what was seen before and after; like q_pictures None if images were left out
+    or are lost.
     outcome: None if the log ends before it was known.
     """
 
     look: Look | None
     refusals: tuple[Refusal, ...]
+    q_pictures: QPictures | None
     intent: Intent | None
     arm_states: tuple[ArmState, ...]
     gripper_states: tuple[GripperState, ...]

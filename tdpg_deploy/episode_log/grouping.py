@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from tdpg_deploy.episode_log.entries import Conclusion, Entry, Intent, Look, Refusal, Step
+from tdpg_deploy.episode_log.entries import (
+    Conclusion,
+    Entry,
+    Intent,
+    Look,
+    QPictures,
+    Refusal,
+    Step,
+)
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.hal import ArmState, GripperState
 from tdpg_deploy.outcome import Outcome
@@ -17,6 +25,7 @@ class _Open:
 
     look: Look | None = None
     refusals: list[Refusal] = field(default_factory=list)
+    q_pictures: QPictures | None = None
     intent: Intent | None = None
     arm_states: list[ArmState] = field(default_factory=list)
     gripper_states: list[GripperState] = field(default_factory=list)
@@ -26,6 +35,7 @@ class _Open:
         return Step(
             look=self.look,
             refusals=tuple(self.refusals),
+            q_pictures=self.q_pictures,
             intent=self.intent,
             arm_states=tuple(self.arm_states),
             gripper_states=tuple(self.gripper_states),
@@ -51,12 +61,14 @@ def group(entries: Iterable[Entry]) -> Iterator[Step]:
                     current.look = entry
                 else:
                     current.next_look = entry
-            elif isinstance(entry, Refusal | Intent):
+            elif isinstance(entry, Refusal | QPictures | Intent):
                 if current.intent is not None:  # its conclusion is lost
                     yield current.step(None)
                     current = current.successor()
                 if isinstance(entry, Refusal):
                     current.refusals.append(entry)
+                elif isinstance(entry, QPictures):
+                    current.q_pictures = entry
                 else:
                     current.intent = entry
             elif isinstance(entry, ArmState):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
 from tdpg_deploy.episode_log import channels, documents, messages
 from tdpg_deploy.episode_log.about import METADATA, VERSIONS, About, from_metadata
 from tdpg_deploy.episode_log.entries import (
+    End,
     Entry,
     ForceDocument,
     Intent,
@@ -25,10 +27,12 @@ from tdpg_deploy.episode_log.entries import (
     Look,
     LookDocument,
     PlanDocument,
+    QPictures,
     Step,
 )
 from tdpg_deploy.episode_log.grouping import group
 from tdpg_deploy.episode_log.records import read_records
+from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.hal import ArmState, RgbdFrame
 
@@ -52,6 +56,15 @@ class Episode:
     def steps(self, *, images: bool = True) -> Iterator[Step]:
         """One for each planned action, and a last one for refusals that led to none."""
         return group(self.entries(images=images))
+
+    def result(self) -> EpisodeResult | None:
+        """How the episode went; None if the log ends before that was told."""
+        result = None
+        with contextlib.suppress(LogError):
+            for entry in self.entries(images=False):
+                if isinstance(entry, End):
+                    result = entry.result
+        return result
 
 
 def read_episode(path: Path) -> Episode:
@@ -94,7 +107,7 @@ def _entries(records: Iterator[McapRecord], *, images: bool) -> Iterator[Entry]:
             topic = topics.get(record.channel_id, "")
             if topic in _ALONE:
                 yield documents.decode(channels.DOCUMENTS[topic], record.data)
-            elif topic in _CLOSING and (images or topic != channels.LOOK):
+            elif topic in _CLOSING and (images or topic not in _OF_IMAGES):
                 entry = _CLOSING[topic](parts, record)
                 if entry is not None:
                     yield entry
@@ -137,6 +150,17 @@ def _look(parts: _Parts, closing: Message) -> Look | None:
     return Look(frame=frame, heightmap=messages.decode_heightmap(messages.parse(Grid, heightmap)))
 
 
+def _q_pictures(parts: _Parts, closing: Message) -> QPictures | None:
+    data = parts.take(closing, channels.Q_PUSH)
+    if data is None:
+        return None
+    push, grasp = (
+        messages.decode_picture(messages.parse(CompressedImage, png))
+        for png in (data[0], closing.data)
+    )
+    return QPictures(push=push, grasp=grasp)
+
+
 def _intent(parts: _Parts, closing: Message) -> Intent | None:
     document = documents.decode(PlanDocument, closing.data)
     data = parts.take(closing, channels.DECISION)
@@ -162,7 +186,9 @@ def _arm_state(parts: _Parts, closing: Message) -> ArmState | None:
 
 _CLOSING: dict[str, Callable[[_Parts, Message], Entry | None]] = {
     channels.LOOK: _look,
+    channels.Q_GRASP: _q_pictures,
     channels.PLAN: _intent,
     channels.TOOL_FORCE: _arm_state,
 }
+_OF_IMAGES = {channels.LOOK, channels.Q_GRASP}
 _ALONE = channels.DOCUMENTS.keys() - _CLOSING.keys() - {channels.DECISION}

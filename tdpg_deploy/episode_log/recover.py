@@ -86,7 +86,7 @@ def _salvage(path: Path, damage: list[str]) -> Iterator[McapRecord]:
         with path.open("rb") as file:
             yield from read_records(file, on_damage=damage.append)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        damage.append(f"cannot be read ({error.strerror})")
     except LogError as error:
         damage.append(str(error))
 

@@ -24,6 +24,7 @@ from tdpg_deploy.episode_log.entries import (
     Intent,
     LoggedDecision,
     Look,
+    QPictures,
     Refusal,
 )
 from tdpg_deploy.episode_log.reader import read_episode
@@ -88,6 +89,10 @@ def test_every_call_comes_back(tmp_path: Path, goal: bool) -> None:
     episode = read_episode(path)
     assert episode.about == ABOUT
     entries = list(episode.entries())
+    shown = [entry for entry in entries if isinstance(entry, QPictures)]
+    assert len(shown) == 2
+    assert {picture.push.shape for picture in shown} == {(448, 448, 3)}
+    entries = [entry for entry in entries if not isinstance(entry, QPictures)]
     assert len(entries) == len(calls)
     for entry, call in zip(entries, calls, strict=True):
         assert same(entry, expected(call)), call.name
@@ -236,11 +241,11 @@ def test_what_was_told_survives_the_process(tmp_path: Path) -> None:
 
 
 def readable(path: Path) -> list[Entry]:
-    """The entries before the damage."""
+    """The entries before the damage, but for pictures."""
     entries: list[Entry] = []
     with contextlib.suppress(LogError):
         entries.extend(read_episode(path).entries())
-    return entries
+    return [entry for entry in entries if not isinstance(entry, QPictures)]
 
 
 def test_full_disk_is_a_log_error_and_what_was_written_stays(tmp_path: Path) -> None:

@@ -1,0 +1,55 @@
+"""What runs: versions of what is installed, and the commit of the source. For a log's head."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import tdpg_deploy
+
+PACKAGES = (
+    "numpy",
+    "opencv-python-headless",
+    "pybullet",
+    "scipy",
+    "torch",
+    "ur-analytic-ik",
+    "ur-rtde",
+    "pyrealsense2",
+)
+
+
+def versions() -> dict[str, str]:
+    """Of this program, Python, the machine, and the packages that decide or move."""
+    installed = {package: _version(package) for package in PACKAGES}
+    return {
+        "tdpg-deploy": tdpg_deploy.__version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **{package: number for package, number in installed.items() if number is not None},
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def commit() -> str | None:
+    """Of the checkout that this runs from, with "-dirty" if it was altered; None without one."""
+    try:
+        run = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            cwd=Path(tdpg_deploy.__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return run.stdout.strip() or None
