@@ -2,13 +2,10 @@
 
 Motions are asynchronous, and watched from here at the rate of the controller's states: force,
 safety, speed slider, program, deadline. ur_rtde itself lives in a child process (ur5_child.py).
-Whatever goes wrong, the program on the controller is stopped, so that nobody who presses
-"play" resumes a motion that was reported as failed. Only `recover` starts it again.
 """
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,32 +14,20 @@ import numpy as np
 
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import ArmSection
-from tdpg_deploy.drivers import ur5_network
-from tdpg_deploy.drivers.ur5_control import ControlProcess
-from tdpg_deploy.drivers.ur5_status import (
-    ControllerVersion,
-    ProgramStopped,
-    SafetyMode,
-    Sample,
-    motion_problem,
-    safety_problem,
-)
-from tdpg_deploy.errors import ArmError, DeviceError, DeviceTimeout, DeviceUnreachable
+from tdpg_deploy.drivers.ur5_link import AT_REST, UrLink
+from tdpg_deploy.drivers.ur5_status import ControllerVersion, Sample, motion_problem
+from tdpg_deploy.errors import ArmError, DeviceError, DeviceTimeout
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import ArmState, Clock, MotionEnd, MotionResult, OnArmState
 
-WATCHDOG = 4.0  # Hz: a quarter of a second without word from here stops the program
-START_DEADLINE = 15.0  # s for ur_rtde to connect, upload and start its program
-STOP_DEADLINE = 2.0  # s to come to rest
 STOP_DECELERATION = 10.0  # rad/s^2
 CONTACT_DECELERATION = 20.0  # rad/s^2: 0.15 m/s at half a metre's reach ends within 2 mm
-ON_STATE_EVERY = 4  # samples: 31 Hz
 CONTACT_SAMPLES = 2  # in a row, since a CB3's force, made from currents, spikes
 ZERO_SAMPLES = 25  # 0.2 s
-CAUSE_SAMPLES = 12  # 0.1 s: the safety mode may follow the end of the program by so much
-AT_REST = 0.01  # rad/s
+ON_STATE_EVERY = 3  # samples: 40 Hz
 AT_TARGET_JOINTS = 0.005  # rad
 AT_TARGET = (0.002, 0.01)  # m, rad
+JOINT_RANGE = 2 * np.pi  # rad either way, UR5 user manual
 MODEL_TOLERANCE = (0.02, 0.05)  # m, rad: factory calibration moves a UR5 by a few millimetres
 GRIPPER_COG = (0.0, 0.0, 0.058)  # m from the flange, 2F-85 manual, section 6.1
 
@@ -64,20 +49,15 @@ class UrArm:
         self._config = config
         self._clock = clock
         self._X_flange_tool = config.X_flange_tool.transform()
-        self._control = ControlProcess(config.host)
-        self._version: ControllerVersion | None = None
-        self._force_zero = np.zeros(3)
-        self._sampled_at = clock.now()
-        self._longest_gap = 0.0
+        self._link = UrLink(config.host, clock=clock)
+        self._force_zero: Array = np.zeros(3)
         self._stop_asked = threading.Event()
         self._motion_lock = threading.RLock()
 
     @property
     def version(self) -> ControllerVersion:
         """Of the controller's software. Known after `connect`."""
-        if self._version is None:
-            raise DeviceUnreachable("the arm is not connected: call connect()")
-        return self._version
+        return self._link.version
 
     # --- connection ---------------------------------------------------------------------------
 
@@ -87,81 +67,31 @@ class UrArm:
         Raises what stands in the way: DeviceUnreachable, DeviceTimeout, ProtectiveStop,
         EmergencyStop, ArmError.
         """
-        self._check_controller()
+        self._link.open()
         try:
-            self._control.start(deadline=START_DEADLINE)
-        except ArmError as error:
-            raise self._start_problem(str(error)) from error
-        try:
-            self._set_up()
+            tcp = tuple(map(float, self._X_flange_tool.as_rotation_vector()))
+            self._link.set_up(tcp, self._config.payload, GRIPPER_COG)
+            self._check_model()
         except DeviceError:
-            self._control.kill()
+            self._link.close()
             raise
 
     def close(self) -> None:
         """Stop the arm and let it go. May be called twice."""
-        if self._control.is_alive:
-            self.stop()
-            self._stop_program()
-        self._control.kill()
+        self.stop()
+        self._link.close()
 
     def recover(self, *, deadline: float = 30.0) -> None:
         """Make the arm ready again, once a person has looked at it. Nothing moves.
 
         Releases a protective stop, which the controller allows five seconds after it began,
-        drops the interrupted program for good and starts the driver's anew.
+        drops the interrupted motion for good and starts the driver's program anew.
         Raises what still stands in the way.
         """
-        self._control.kill()
-        end = self._clock.now() + deadline
-        host = self._config.host
-        self._check_version()
-        _, safety_mode = ur5_network.ask_modes(host)
-        if safety_mode == SafetyMode.PROTECTIVE_STOP:
-            command = ("close safety popup", "unlock protective stop")
-            while "releasing" not in (reply := ur5_network.ask_dashboard(host, *command)[1]):
-                if self._clock.now() > end:
-                    raise DeviceTimeout(
-                        f"the protective stop was not released within {deadline:.0f} s; the "
-                        f"controller says: {reply}"
-                    )
-                self._clock.sleep(0.25)
-        ur5_network.ask_dashboard(host, "stop")
+        self._link.unlock(deadline=deadline)
         self.connect()
 
-    def _check_controller(self) -> None:
-        """Find by questions what would make ur_rtde hang or fail without a reason."""
-        self._check_version()
-        host = self._config.host
-        if problem := safety_problem(*ur5_network.ask_modes(host)):
-            raise problem
-        ur5_network.check_script_port(host)
-
-    def _check_version(self) -> None:
-        """Of the software, and of what it lets this driver do."""
-        host = self._config.host
-        self._version = ur5_network.ask_version(host)
-        if not self._version.is_supported:
-            raise ArmError(
-                f"the controller at {host} runs PolyScope {self._version}; this driver needs 3.4 "
-                "or newer (CB3) or 5.4 or newer (e-series): update it"
-            )
-        if self._version.has_remote_control and not ur5_network.ask_remote_control(host):
-            raise _local_control()
-
-    def _start_problem(self, text: str) -> ArmError:
-        if "already in use" in text:
-            return ArmError(
-                "the controller's input registers are in use: end the other program that "
-                "controls this arm, or disable EtherNet/IP, PROFINET and MODBUS in the "
-                f"installation ({text})"
-            )
-        return ArmError(f"the driver's program did not start on the controller: {text}")
-
-    def _set_up(self) -> None:
-        tcp = tuple(self._X_flange_tool.as_rotation_vector())
-        if not self._control.call("set_up", tcp, self._config.payload, GRIPPER_COG, WATCHDOG):
-            raise self._cause("TCP, payload and watchdog were not accepted")
+    def _check_model(self) -> None:
         state = self.state()
         expected = kinematics.forward(state.q, self._X_flange_tool)
         distance, angle = expected.distance(state.X_base_tool)
@@ -174,29 +104,14 @@ class UrArm:
     # --- state --------------------------------------------------------------------------------
 
     def state(self) -> ArmState:
-        self._sample()  # may have been under way when the call began
-        return self._as_state(self._sample())
+        self._link.sample()  # may have been under way when the call began
+        return self._as_state(self._link.sample())
 
     def zero_force(self) -> None:
-        first = self.state()
-        if np.abs(first.qd).max() > AT_REST:
+        if np.abs(self.state().qd).max() > AT_REST:
             raise ArmError("the force cannot be zeroed while the arm moves: wait until it rests")
-        forces = [self._sample().force for _ in range(ZERO_SAMPLES)]
+        forces = [self._link.sample().force for _ in range(ZERO_SAMPLES)]
         self._force_zero = np.mean(forces, axis=0)
-
-    def _sample(self) -> Sample:
-        """The next state. Raises DeviceError when none comes; the connection is over then."""
-        sample: Sample | None = self._control.call("sample")
-        if sample is None:
-            self._control.kill()
-            raise DeviceUnreachable(
-                f"no state came from the arm at {self._config.host} for 0.3 s, the connection is "
-                "given up: check cable and controller, then call recover()"
-            )
-        now = self._clock.now()
-        self._longest_gap = max(self._longest_gap, now - self._sampled_at)
-        self._sampled_at = now
-        return sample
 
     def _as_state(self, sample: Sample) -> ArmState:
         return ArmState(
@@ -218,6 +133,11 @@ class UrArm:
         deadline: float,
         on_state: OnArmState | None = None,
     ) -> MotionResult:
+        if not (np.isfinite(q).all() and np.abs(q).max() <= JOINT_RANGE):
+            raise ArmError(
+                f"joints {np.round(q, 2).tolist()} rad lie outside of the arm's range of "
+                f"{JOINT_RANGE:.2f} rad either way: nothing was moved"
+            )
         target = _Target(
             request="move_joints",
             numbers=tuple(map(float, q)),
@@ -236,6 +156,12 @@ class UrArm:
         stop_force: float | None = None,
         on_state: OnArmState | None = None,
     ) -> MotionResult:
+        if not len(kinematics.inverse(X_base_tool, self._X_flange_tool)):
+            raise ArmError(  # the controller would end the driver's program
+                f"the arm cannot reach tool pose {np.round(X_base_tool.translation, 3).tolist()} m:"
+                " nothing was moved"
+            )
+
         def is_reached(state: ArmState) -> bool:
             distance, angle = state.X_base_tool.distance(X_base_tool)
             return distance < AT_TARGET[0] and angle < AT_TARGET[1]
@@ -251,8 +177,8 @@ class UrArm:
     def stop(self) -> None:
         self._stop_asked.set()  # a motion in another thread ends itself, and lets go of the lock
         with self._motion_lock:
-            if self._control.is_alive:
-                self._halt()
+            if self._link.is_open:
+                self._link.halt(STOP_DECELERATION)
 
     def _move(
         self,
@@ -266,21 +192,18 @@ class UrArm:
         with self._motion_lock:
             self._stop_asked.clear()
             end = self._clock.now() + deadline
-            before = self._sample()
-            self._longest_gap = 0.0
-            if motion_problem(before):
-                raise self._cause(f"before the motion to {target.text}")
             try:
-                if not self._control.call(target.request, target.numbers, speed, acceleration):
-                    raise self._cause(f"at the start of the motion to {target.text}")
-                touched = self._watch(target, before.operation, end, stop_force, on_state)
-                state = self._come_to_rest(CONTACT_DECELERATION) if touched else self._settle(end)
+                before = self._link.start(target.request, target.numbers, speed, acceleration)
+                if self._watch(target, before, end, stop_force, on_state):
+                    rest = self._link.brake(CONTACT_DECELERATION)
+                    return MotionResult(end=MotionEnd.CONTACT, state=self._as_state(rest))
+                state = self._as_state(self._link.at_rest(until=end))
             except BaseException:
-                self._halt()
+                self._link.halt(STOP_DECELERATION)
                 raise
-        if not touched and not target.is_reached(state):
-            raise self._cause(f"the motion to {target.text} ended short of it")
-        return MotionResult(end=MotionEnd.CONTACT if touched else MotionEnd.REACHED, state=state)
+            if not target.is_reached(state):
+                raise self._link.cause(f"at the end of a motion that fell short of {target.text}")
+            return MotionResult(end=MotionEnd.REACHED, state=state)
 
     def _watch(
         self,
@@ -293,9 +216,9 @@ class UrArm:
         """Until the motion that follows operation `before` is over; True after a contact."""
         count = pressed = 0
         while True:
-            sample = self._sample()
+            sample = self._link.sample()
             if motion_problem(sample):
-                raise self._cause(f"during the motion to {target.text}")
+                raise self._link.cause(f"during the motion to {target.text}")
             state = self._as_state(sample)
             if stop_force is not None:
                 pressed = pressed + 1 if np.linalg.norm(state.force) > stop_force else 0
@@ -303,83 +226,13 @@ class UrArm:
                     return True
             if on_state is not None and count % ON_STATE_EVERY == 0:
                 on_state(state)
-            if sample.operation != before and not sample.running:
-                return False
             if self._stop_asked.is_set():
                 raise ArmError(f"the motion to {target.text} was stopped on request")
+            if sample.operation != before and not sample.running:
+                return False
             if self._clock.now() > end:
                 raise DeviceTimeout(
                     f"the motion to {target.text} was not over in time, with the speed slider at "
                     f"{sample.slider:.0%}; the arm was stopped"
                 )
             count += 1
-
-    def _settle(self, end: float) -> ArmState:
-        """The state at rest after a motion that is over."""
-        while np.abs((state := self.state()).qd).max() > AT_REST:
-            if self._clock.now() > end:
-                raise DeviceTimeout("the arm did not come to rest in time and was stopped")
-        return state
-
-    def _come_to_rest(self, deceleration: float) -> ArmState:
-        """Decelerate (rad/s^2), and the state at rest."""
-        self._control.call("stop", deceleration, deadline=STOP_DEADLINE)
-        return self._settle(self._clock.now() + STOP_DEADLINE)
-
-    def _halt(self) -> None:
-        """Bring the arm to rest; if it does not obey, by the end of its program.
-
-        When the controller hears nothing at all any more, its watchdog ends the program.
-        """
-        try:
-            self._come_to_rest(STOP_DECELERATION)
-        except DeviceError:
-            self._control.kill()
-            self._stop_program()
-
-    def _stop_program(self) -> None:
-        with contextlib.suppress(DeviceError):
-            ur5_network.ask_dashboard(self._config.host, "stop", deadline=1.0)
-
-    def _cause(self, when: str) -> ArmError:
-        """Why the arm does not move, as a typed error; the program is stopped for good.
-
-        States that come within a tenth of a second may name it better than the first.
-        """
-        for _ in range(CAUSE_SAMPLES):
-            sample = self._sample()
-            problem = motion_problem(sample)
-            if problem is not None and not isinstance(problem, ProgramStopped):
-                break
-        where = (
-            f"{when}; tool at {np.round(sample.pose[:3], 3).tolist()} m, "
-            f"force {np.linalg.norm(np.array(sample.force) - self._force_zero):.0f} N"
-        )
-        if problem is None:
-            return ArmError(f"{where}: no cause is reported; look at the arm and its log")
-        self._stop_program()
-        if isinstance(problem, ProgramStopped):
-            problem = self._why_stopped() or problem
-        return type(problem)(f"{problem} ({where})")
-
-    def _why_stopped(self) -> ArmError | None:
-        """What stops a program besides a person: local control, and the watchdog."""
-        with contextlib.suppress(DeviceError):
-            if self.version.has_remote_control and not ur5_network.ask_remote_control(
-                self._config.host
-            ):
-                return _local_control()
-        if self._longest_gap > 1 / WATCHDOG:
-            return ArmError(
-                f"the controller's watchdog stopped the arm: this process did not look at it for "
-                f"{self._longest_gap:.2f} s ({1 / WATCHDOG:.2f} s are allowed): let `on_state` do "
-                "less, or give the process more of the machine; then call recover()"
-            )
-        return None
-
-
-def _local_control() -> ArmError:
-    return ArmError(
-        "remote control is off: switch the controller to remote control at the upper right of "
-        "the pendant, then call recover()"
-    )

@@ -11,13 +11,15 @@ import asyncio
 import json
 import logging
 import sys
+from pathlib import Path
 
 import numpy as np
 
+from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.emulators.ur_controller.controller import Controller
 from tdpg_deploy.emulators.ur_controller.modes import GENERATIONS, Generation
 from tdpg_deploy.emulators.ur_controller.pendant import Pendant
-from tdpg_deploy.emulators.ur_controller.plant import KinematicPlant
+from tdpg_deploy.emulators.ur_controller.plant import KinematicPlant, Plant
 from tdpg_deploy.emulators.ur_controller.server import Server
 
 
@@ -27,14 +29,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--generation", choices=GENERATIONS, default="cb3")
     parser.add_argument("--version", help="controller software, as 3.15.8.106339")
     parser.add_argument("--pace", type=float, default=1.0, help="times real time")
-    parser.add_argument("--table-z", type=float, help="m in base: a table to press on")
-    parser.add_argument(
-        "--q",
-        type=float,
-        nargs=6,
-        default=np.radians([90, -110, 100, -80, -90, 0]).tolist(),
-        help="joint positions at start, rad",
-    )
+    parser.add_argument("--cell", type=Path, default=DEFAULT_CELL, help="where home and table are")
+    parser.add_argument("--physics", action="store_true", help="simulate contacts, empty table")
     parser.add_argument("--verbose", action="store_true", help="log to stderr")
     return parser.parse_args()
 
@@ -47,9 +43,21 @@ def _generation(arguments: argparse.Namespace) -> Generation:
     return Generation(version=(major, minor, bugfix, build), frequency=line.frequency)
 
 
+def _plant(arguments: argparse.Namespace) -> Plant:
+    cell = load_cell(arguments.cell)
+    if not arguments.physics:
+        return KinematicPlant(np.array(cell.arm.home), table_z=cell.workspace.table_z)
+    from tdpg_deploy.emulators.ur_controller.world_plant import WorldPlant
+    from tdpg_deploy.sim.scenes import Scene
+    from tdpg_deploy.sim.world import World
+
+    world = World(cell, Scene(objects=()), seed=0)
+    world.robot.place(world.robot.joints()[0], 0.0)  # fingers closed
+    return WorldPlant(world)
+
+
 async def _serve(arguments: argparse.Namespace) -> None:
-    plant = KinematicPlant(np.array(arguments.q), table_z=arguments.table_z)
-    controller = Controller(plant, _generation(arguments), pace=arguments.pace)
+    controller = Controller(_plant(arguments), _generation(arguments), pace=arguments.pace)
     server = Server(controller, arguments.host)
     await server.listen()
     cycles = asyncio.create_task(server.run(pace=arguments.pace))

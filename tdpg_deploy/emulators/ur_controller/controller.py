@@ -97,8 +97,7 @@ class Controller:
             self._step_program()
         self._step_motion()
         self.plant.drive(self.q_target, self.dt)
-        q = self.plant.q
-        self.qd, self.q = (q - self.q) / self.dt, q
+        self.q, self.qd = self.plant.q, self.plant.qd
         before, self._force = self._force, float(np.linalg.norm(self.plant.force))
         if self._force > max(FORCE_LIMIT, before):  # it may be drawn back after a stop
             self.protective_stop("the force at the tool exceeds the safety limit")

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from tdpg_deploy import kinematics
 from tdpg_deploy.geometry import Array, Transform
@@ -56,12 +56,13 @@ class LinearPath:
         distance, angle = start.distance(end)
         self.length = distance if distance > 1e-6 else angle
         self._start, self._end, self._X_flange_tool = start, end, X_flange_tool
-        self._turn = Slerp([0, 1], Rotation.concatenate([start.rotation, end.rotation]))
+        self._turn = (end.rotation * start.rotation.inv()).as_rotvec()
 
     def at(self, s: float, q_near: Array) -> Array:
         share = s / self.length if self.length else 1.0
         step = self._end.translation - self._start.translation
-        pose = Transform(self._turn(share), self._start.translation + share * step)
+        turned = Rotation.from_rotvec(share * self._turn) * self._start.rotation
+        pose = Transform(turned, self._start.translation + share * step)
         return solve(pose, self._X_flange_tool, q_near)
 
 

@@ -1,12 +1,12 @@
-"""What a controller moves and feels."""
+"""What a controller moves and feels: an arm of pure kinematics, or the simulated world's."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 import numpy as np
-from ur_analytic_ik import ur5
 
+from tdpg_deploy import kinematics
 from tdpg_deploy.geometry import Array
 
 
@@ -16,6 +16,10 @@ class Plant(Protocol):
     @property
     def q(self) -> Array:
         """Joint positions (6,), rad, measured."""
+
+    @property
+    def qd(self) -> Array:
+        """Joint speeds (6,), rad/s, measured."""
 
     @property
     def force(self) -> Array:
@@ -29,22 +33,28 @@ class KinematicPlant:
     """A UR5 that follows its targets exactly above a springy table, or above nothing."""
 
     TIP = np.array([0.0, 0.0, 0.163, 1.0])  # in the flange frame: closed 2F-85
-    STIFFNESS = 5000.0  # N/m, as of a hard foam: 15 N at 3 mm
+    STIFFNESS = 20_000.0  # N/m, as of rubber tips on wood: 15 N at 0.75 mm
 
     def __init__(self, q: Array, *, table_z: float | None = None) -> None:
-        self._q = np.array(q, np.float64)
+        self._q: Array = np.array(q, np.float64)
+        self._qd: Array = np.zeros(6)
         self._table_z = table_z
 
     @property
     def q(self) -> Array:
-        return self._q.copy()
+        return self._q
+
+    @property
+    def qd(self) -> Array:
+        return self._qd
 
     @property
     def force(self) -> Array:
         if self._table_z is None:
             return np.zeros(3)
-        tip = ur5.forward_kinematics(*self._q) @ self.TIP
+        tip = kinematics.forward_batch(self._q) @ self.TIP
         return np.array([0.0, 0.0, self.STIFFNESS * max(0.0, self._table_z - tip[2])])
 
     def drive(self, q_target: Array, dt: float) -> None:
-        self._q = np.array(q_target, np.float64)
+        self._qd = (q_target - self._q) / dt
+        self._q = q_target

@@ -22,11 +22,10 @@ class ControllerProcess:
     """`with ControllerProcess(host=..., generation=...) as robot: robot.do("protective_stop")`."""
 
     def __init__(self, **options: object) -> None:
-        """`options` are those of `python -m tdpg_deploy.emulators.ur_controller`."""
+        """`options` of `python -m tdpg_deploy.emulators.ur_controller`; True for a switch."""
         self._command = [sys.executable, "-m", "tdpg_deploy.emulators.ur_controller"]
         for name, value in options.items():
-            values = value if isinstance(value, (list, tuple)) else [value]
-            self._command += [f"--{name.replace('_', '-')}", *map(str, values)]
+            self._command += [f"--{name}"] if value is True else [f"--{name}", str(value)]
         self._process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> ControllerProcess:

@@ -1,0 +1,31 @@
+"""The UR driver keeps the promises of hal.py, over ur_rtde and the wire, on both generations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from hal_contract import ArmContract, ArmRig
+from ur_rig import PacedClock, arm_section, emulated_controller, new_host
+
+from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+from tdpg_deploy.drivers.ur5 import UrArm
+
+PACE = 3.0
+
+
+@pytest.fixture(scope="module", params=["cb3", "e-series"])
+def host(request: pytest.FixtureRequest) -> Iterator[str]:
+    address = new_host()
+    with emulated_controller(address, generation=request.param, pace=PACE):
+        yield address
+
+
+@pytest.mark.slow
+class TestUrArm(ArmContract):
+    @pytest.fixture
+    def rig(self, host: str) -> ArmRig:
+        clock = PacedClock(PACE)
+        config = load_cell(DEFAULT_CELL)
+        arm = UrArm(arm_section(host), clock=clock)
+        return ArmRig(arm=arm, clock=clock, config=config, floor_z=config.workspace.table_z)
