@@ -16,9 +16,10 @@ from tdpg_deploy.outcome import Verdict
 # A pixel changed by 0.01 m < |dz| < 0.3 m; an action changed at least 300 of them (VPG, main.py).
 MIN_CHANGE, MAX_CHANGE = 0.01, 0.3  # m
 MIN_PIXELS = 300
-# VPG's smallest block is 50 x 50 x 25 mm, 62 ml: half of it gone is a block gone.
+# VPG's smallest block is 50 x 50 x 25 mm, 62 ml: half of it gone is a block gone. What only moves
+# rises elsewhere by as much as it fell, but for a tenth that the pixels' size leaves open.
 GONE_VOLUME = 31e-6  # m^3
-NOISE_VOLUME = 15e-6  # m^3
+GONE_SHARE, MOVED_SHARE = 0.5, 0.1  # of the volume that fell
 REACH = 0.12  # m around an action's path: what it pushes or topples stays within
 MIN_KNOWN = 0.6  # share of the pixels within reach that have to be known for a NO
 
@@ -34,12 +35,13 @@ def changed(before: Heightmap, after: Heightmap, primitive: Primitive) -> Verdic
 def gone(before: Heightmap, after: Heightmap, primitive: Primitive) -> Verdict:
     """Whether volume left the surroundings of a grasp: what only fell over is still there."""
     difference, near = _difference(before, after), _reached(before, primitive)
+    fell = -float(np.nansum(np.minimum(difference[near], 0.0))) * PIXEL**2
     lost = -float(np.nansum(difference[near])) * PIXEL**2
-    if lost >= GONE_VOLUME:
+    if lost >= GONE_VOLUME and lost >= GONE_SHARE * fell:
         return Verdict.YES
-    if lost > NOISE_VOLUME or not _is_known(difference, near):
-        return Verdict.UNKNOWN
-    return Verdict.NO
+    if lost <= max(GONE_VOLUME / 2, MOVED_SHARE * fell) and _is_known(difference, near):
+        return Verdict.NO
+    return Verdict.UNKNOWN
 
 
 def _difference(before: Heightmap, after: Heightmap) -> Array:

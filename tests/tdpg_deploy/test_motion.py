@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from policies.heightmap import SIZE, Heightmap, Workspace
+from policies.primitives import Grasp, Push
+from tdpg_deploy import kinematics
+from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+from tdpg_deploy.errors import PlanRefused
+from tdpg_deploy.geometry import Transform, top_down
+from tdpg_deploy.motion import (
+    OPEN_WIDTH,
+    PAD_WIDTH,
+    grasp_footprints,
+    plan_homing,
+    plan_primitive,
+    push_footprint,
+    room_ahead,
+)
+from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
+from tdpg_deploy.safety import check
+
+CONFIG = load_cell(DEFAULT_CELL)
+TABLE_Z = CONFIG.workspace.table_z
+WORKSPACE = Workspace(
+    x_min=CONFIG.workspace.x_range[0], y_min=CONFIG.workspace.y_range[0], table_z=TABLE_Z
+)
+X_FLANGE_TOOL = CONFIG.arm.X_flange_tool.transform()
+
+inside_x = st.floats(WORKSPACE.x_min + 0.001, WORKSPACE.x_max - 0.001)
+inside_y = st.floats(WORKSPACE.y_min + 0.001, WORKSPACE.y_max - 0.001)
+yaws = st.integers(0, 15).map(lambda k: k * np.pi / 8)
+
+
+def table(height: float = 0.0) -> Heightmap:
+    return Heightmap(
+        workspace=WORKSPACE,
+        color=np.zeros((SIZE, SIZE, 3), np.uint8),
+        height=np.full((SIZE, SIZE), height, np.float32),
+    )
+
+
+def names(plan: Plan) -> list[list[str]]:
+    return [[step.name for step in steps] for steps in (plan.approach, plan.delivery, plan.retreat)]
+
+
+def linear(plan: Plan, name: str) -> MoveLinear:
+    (step,) = [step for step in plan.approach if step.name == name]
+    assert isinstance(step, MoveLinear)
+    return step
+
+
+def joints(plan: Plan, name: str) -> MoveJoints:
+    (step,) = [step for step in (*plan.approach, *plan.delivery) if step.name == name]
+    assert isinstance(step, MoveJoints)
+    return step
+
+
+# --- grasp ------------------------------------------------------------------------------------
+
+
+def test_grasp_goes_above_down_closes_lifts_delivers_and_returns() -> None:
+    plan = plan_primitive(Grasp(x=0.5, y=0.1, z=TABLE_Z + 0.05, yaw=0.3), table(), CONFIG)
+    assert names(plan) == [
+        ["open", "above", "descend", "close", "lift"],
+        ["over the bin", "release"],
+        ["home"],
+    ]
+    opening, closing = plan.approach[0], plan.approach[3]
+    assert isinstance(opening, MoveFingers)
+    assert isinstance(closing, MoveFingers)
+    assert (opening.width, closing.width) == (OPEN_WIDTH, 0.0)
+    assert closing.force == CONFIG.gripper.force
+    descend = linear(plan, "descend")
+    assert descend.stop_force == CONFIG.limits.descend_force
+    assert descend.speed == CONFIG.limits.contact_speed
+
+
+@pytest.mark.parametrize(
+    ("surface", "tips"), [(0.10, 0.06), (0.05, 0.01), (0.025, 0.004), (0.0, 0.004)]
+)
+def test_grasp_reaches_below_the_surface_but_clear_of_the_table(
+    surface: float, tips: float
+) -> None:
+    plan = plan_primitive(Grasp(x=0.5, y=0.0, z=TABLE_Z + surface, yaw=0.0), table(), CONFIG)
+    assert linear(plan, "descend").X_base_tool.translation[2] == pytest.approx(TABLE_Z + tips)
+
+
+@given(inside_x, inside_y, yaws)
+def test_above_is_straight_over_the_grasp_with_the_closing_direction_asked_for(
+    x: float, y: float, yaw: float
+) -> None:
+    plan = plan_primitive(Grasp(x=x, y=y, z=TABLE_Z + 0.05, yaw=yaw), table(), CONFIG)
+    above = kinematics.forward(joints(plan, "above").q, X_FLANGE_TOOL)
+    travel_z = TABLE_Z + CONFIG.limits.travel_height
+    np.testing.assert_allclose(above.translation, [x, y, travel_z], atol=1e-9)
+    tool = above.rotation.as_matrix()
+    np.testing.assert_allclose(tool[:, 2], [0, 0, -1], atol=1e-9)
+    closing = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    assert abs(tool[:, 0] @ closing) == pytest.approx(1.0)
+    assert linear(plan, "descend").X_base_tool.distance(above)[1] < 1e-6
+    bin_ = kinematics.forward(joints(plan, "over the bin").q, X_FLANGE_TOOL).translation
+    np.testing.assert_allclose(bin_, CONFIG.bin.position, atol=1e-9)
+
+
+@given(inside_x, inside_y, yaws)
+def test_every_grasp_in_the_workspace_passes_the_gate(x: float, y: float, yaw: float) -> None:
+    check(plan_primitive(Grasp(x=x, y=y, z=TABLE_Z + 0.03, yaw=yaw), table(), CONFIG), CONFIG)
+
+
+def test_gripper_symmetry_saves_half_a_turn() -> None:
+    home = np.array(CONFIG.arm.home)
+    for yaw in np.arange(16) * np.pi / 8:
+        plan = plan_primitive(Grasp(x=0.5, y=0.0, z=TABLE_Z, yaw=float(yaw)), table(), CONFIG)
+        assert abs(joints(plan, "above").q[5] - home[5]) < np.deg2rad(115)
+
+
+def test_footprints_stand_outside_of_the_opening_on_both_sides() -> None:
+    first, second = grasp_footprints(Grasp(x=0.5, y=0.0, z=0.0, yaw=np.pi / 2))
+    assert first.x == pytest.approx(second.x) == pytest.approx(0.5)
+    assert first.y == pytest.approx(-second.y)
+    assert first.y - first.along / 2 == pytest.approx(OPEN_WIDTH / 2)
+    assert first.across == PAD_WIDTH
+
+
+def test_grasp_is_refused_where_a_finger_would_meet_the_unknown() -> None:
+    seen = table()
+    grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
+    finger = grasp_footprints(grasp)[0]
+    row, col = WORKSPACE.to_pixel(finger.x, finger.y)
+    seen.height[row - 3 : row + 4, col - 3 : col + 4] = np.nan
+    with pytest.raises(PlanRefused, match=r"under a finger at \(0.551, 0.000\) m is unknown"):
+        plan_primitive(grasp, seen, CONFIG)
+    turned = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=np.pi / 2)
+    plan_primitive(turned, seen, CONFIG)
+
+
+def test_a_stray_lost_pixel_does_not_forbid_a_grasp() -> None:
+    seen = table()
+    grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
+    row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[0].x, 0.0)
+    seen.height[row, col] = np.nan
+    plan_primitive(grasp, seen, CONFIG)
+
+
+def test_an_unknown_surface_is_refused() -> None:
+    with pytest.raises(PlanRefused, match="no surface was seen"):
+        plan_primitive(Grasp(x=0.5, y=0.0, z=float("nan"), yaw=0.0), table(), CONFIG)
+
+
+# --- push -------------------------------------------------------------------------------------
+
+
+def test_push_goes_down_beside_and_travels_broadside() -> None:
+    push = Push(x=0.45, y=0.05, z=TABLE_Z, yaw=np.pi / 4)
+    plan = plan_primitive(push, table(), CONFIG)
+    assert names(plan) == [["close", "above", "descend", "push", "lift"], [], ["home"]]
+    down, travel = linear(plan, "descend").X_base_tool, linear(plan, "push").X_base_tool
+    way = travel.translation - down.translation
+    np.testing.assert_allclose(
+        way, [0.1 * np.cos(np.pi / 4), 0.1 * np.sin(np.pi / 4), 0.0], atol=1e-9
+    )
+    assert abs(travel.rotation.as_matrix()[:, 0] @ way) < 1e-9
+    assert linear(plan, "push").stop_force == CONFIG.limits.push_force
+    assert not plan.notes
+    check(plan, CONFIG)
+
+
+def test_push_runs_just_above_what_it_comes_down_on() -> None:
+    clearance = CONFIG.limits.table_clearance
+    seen = table(0.001)
+    push = Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0)
+    row, col = WORKSPACE.to_pixel(0.52, 0.0)
+    seen.height[row - 5 : row + 5, col - 12 : col + 12] = 0.05  # the object ahead does not count
+    z = linear(plan_primitive(push, seen, CONFIG), "push").X_base_tool.translation[2]
+    assert z == pytest.approx(TABLE_Z + 0.001 + clearance, abs=1e-6)
+    row, col = WORKSPACE.to_pixel(0.45, 0.0)
+    seen.height[row - 2 : row + 2, col - 2 : col + 2] = 0.03
+    z = linear(plan_primitive(push, seen, CONFIG), "push").X_base_tool.translation[2]
+    assert z == pytest.approx(TABLE_Z + 0.03 + clearance, abs=1e-6)
+
+
+def test_push_is_cut_at_the_border_and_says_so() -> None:
+    push = Push(x=WORKSPACE.x_max - 0.062, y=0.0, z=TABLE_Z, yaw=0.0)
+    plan = plan_primitive(push, table(), CONFIG)
+    end = linear(plan, "push").X_base_tool.translation
+    assert end[0] == pytest.approx(WORKSPACE.x_max)
+    assert plan.notes == ("push shortened from 0.100 to 0.062 m: the workspace ends",)
+    check(plan, CONFIG)
+
+
+def test_push_without_room_is_refused() -> None:
+    push = Push(x=WORKSPACE.x_max - 0.011, y=0.0, z=TABLE_Z, yaw=0.0)
+    with pytest.raises(PlanRefused, match=r"has 0.011 m of room"):
+        plan_primitive(push, table(), CONFIG)
+
+
+@given(inside_x, inside_y, st.floats(-np.pi, np.pi))
+def test_room_ahead_ends_on_the_border(x: float, y: float, yaw: float) -> None:
+    room = room_ahead(Push(x=x, y=y, z=0.0, yaw=yaw), WORKSPACE)
+    end = (x + room * np.cos(yaw), y + room * np.sin(yaw))
+    assert WORKSPACE.contains(*end, margin=-1e-9)
+    assert not WORKSPACE.contains(*end, margin=1e-6)
+
+
+def test_push_into_the_unknown_may_not_start_there() -> None:
+    seen = table()
+    push = Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0)
+    start = push_footprint(push)
+    row, col = WORKSPACE.to_pixel(start.x, start.y)
+    seen.height[row - 4 : row + 4, col - 4 : col + 4] = np.nan
+    with pytest.raises(PlanRefused, match="unknown"):
+        plan_primitive(push, seen, CONFIG)
+
+
+# --- homing and reach -------------------------------------------------------------------------
+
+
+def test_homing_goes_up_first_when_low() -> None:
+    low = top_down(0.5, 0.0, TABLE_Z + 0.02, 0.4)
+    raised, home = plan_homing(low, CONFIG)
+    assert isinstance(raised, MoveLinear)
+    np.testing.assert_allclose(raised.X_base_tool.translation, [0.5, 0.0, 0.1], atol=1e-9)
+    assert raised.stop_force is not None
+    assert isinstance(home, MoveJoints)
+    np.testing.assert_allclose(home.q, CONFIG.arm.home)
+    high = Transform(low.rotation, np.array([0.5, 0.0, 0.3]))
+    assert len(plan_homing(high, CONFIG)) == 1
+
+
+def test_out_of_reach_is_refused_with_the_place() -> None:
+    far = CONFIG.model_copy(
+        update={"limits": CONFIG.limits.model_copy(update={"travel_height": 0.9})}
+    )
+    with pytest.raises(PlanRefused, match=r'"above" \(0.700, 0.200, 0.750\) m is out of reach'):
+        plan_primitive(Grasp(x=0.7, y=0.2, z=TABLE_Z, yaw=0.0), table(), far)
