@@ -2,8 +2,9 @@
 
 An object is its fields, and `kind`, the name of its class, which tells members of a union
 apart. Enumerations are their values, arrays lists, a Transform a position (m) and a quaternion
-(x, y, z, w). JSON has no nan: where a number is due, null is nan. Unknown keys are skipped and
-missing ones take the field's default, so that neighbouring versions read each other.
+(x, y, z, w). JSON has finite numbers only: others become null, and null where a number is due
+becomes nan. Unknown keys are skipped and missing ones take the field's default, so that
+neighbouring versions read each other.
 """
 
 from __future__ import annotations

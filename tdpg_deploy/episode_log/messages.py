@@ -108,7 +108,7 @@ def encode_depth(depth: npt.NDArray[np.float32], time: int) -> RawImage:
     As whole millimetres (16UC1, zero where unknown) if the camera counted in them, as a D435
     does; else as they are (32FC1), in four times the room.
     """
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         counts = np.nan_to_num(np.round(depth / MILLIMETRE), nan=0.0).clip(0, 0xFFFF)
     counts = counts.astype("<u2")
     exact = np.array_equal(_metres(counts), depth, equal_nan=True)
