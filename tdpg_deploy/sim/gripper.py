@@ -15,7 +15,8 @@ FORCES = (10.0, 20.0)  # N on each pad. The real one reaches 235; 80 in the simu
 AT_GOAL = 0.001  # m
 STILL = 0.002  # m/s, while moving
 TREMBLE = 0.010  # m/s, of fingers that hold something
-BLOCKED_STEPS = 12  # steps without headway, 50 ms
+ARRIVED_STEPS = 2  # without headway at the goal
+BLOCKED_STEPS = 12  # without headway elsewhere, 50 ms
 
 
 class SimGripper:
@@ -66,7 +67,7 @@ class SimGripper:
         self._goal = float(np.clip(width, 0.0, MAX_WIDTH))
         self._closing = self._goal < reached
         target, slow = reached, 0
-        while slow < BLOCKED_STEPS and (target != self._goal or abs(reached - target) > AT_GOAL):
+        while slow < (ARRIVED_STEPS if abs(reached - self._goal) < AT_GOAL else BLOCKED_STEPS):
             travel = np.clip(self._goal - target, -speed * TIME_STEP, speed * TIME_STEP)
             target += float(travel)
             robot.drive_fingers(target, force)

@@ -119,7 +119,7 @@ def gantry_links() -> tuple[Link, ...]:
             joint=Joint.SLIDES,
             axis=(1.0, 0.0, 0.0),
             mass=1.0,
-            force=500.0,
+            force=300.0,
             X_parent_link=Transform(Rotation.identity(), np.array([0.0, 0.0, GANTRY_HEIGHT])),
         ),
         Link(
@@ -128,7 +128,7 @@ def gantry_links() -> tuple[Link, ...]:
             joint=Joint.SLIDES,
             axis=(0.0, 1.0, 0.0),
             mass=1.0,
-            force=500.0,
+            force=300.0,
         ),
         Link(name="yaw", parent=1, joint=Joint.TURNS, mass=1.0, force=100.0),
         Link(
@@ -136,7 +136,7 @@ def gantry_links() -> tuple[Link, ...]:
             parent=2,
             joint=Joint.SLIDES,
             mass=0.5,
-            force=500.0,
+            force=300.0,
             X_parent_link=Transform(Rotation.from_euler("x", np.pi), np.zeros(3)),
         ),
     )
@@ -187,7 +187,7 @@ def gripper_links(wrist: int, X_wrist_flange: Transform) -> tuple[Link, ...]:
             joint=Joint.SLIDES,
             axis=(0.0, 0.0, -1.0),
             mass=0.05,
-            force=200.0,
+            force=600.0,  # the arm gives way first
         ),
         *(
             Link(

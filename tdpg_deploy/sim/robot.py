@@ -33,20 +33,20 @@ class Robot:
         palm = len(carrier.links)
         self._arc, self._left, self._right = palm + 1, palm + 2, palm + 3
         self._arc_force = self._links[self._arc].force
-        self._body = self._build()
+        self.body = self._build()
         self.place(carrier.at(q_home), width)
 
     # --- carrier ------------------------------------------------------------------------------
 
     def joints(self) -> tuple[Array, Array]:
         """Positions and speeds of the carrier's joints, (k,) each."""
-        states = pybullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
+        states = pybullet.getJointStates(self.body, self._joints, physicsClientId=self._client)
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
     def drive(self, joints: list[float]) -> None:
         """Be at these positions (k,) after the next step, as far as the motors' forces go."""
         pybullet.setJointMotorControlArray(
-            self._body,
+            self.body,
             self._joints,
             pybullet.POSITION_CONTROL,
             targetPositions=joints,
@@ -63,7 +63,7 @@ class Robot:
     def force(self) -> Array:
         """(3,) N in base: what the world presses on the robot, by the last step's contacts."""
         total = np.zeros(3)
-        for contact in pybullet.getContactPoints(self._body, physicsClientId=self._client):
+        for contact in pybullet.getContactPoints(self.body, physicsClientId=self._client):
             total += np.multiply(contact[7], contact[9])
             total += np.multiply(contact[11], contact[10])
             total += np.multiply(contact[13], contact[12])
@@ -74,14 +74,14 @@ class Robot:
     def width(self) -> float:
         """Metres between the pads."""
         left, right = pybullet.getJointStates(
-            self._body, [self._left, self._right], physicsClientId=self._client
+            self.body, [self._left, self._right], physicsClientId=self._client
         )
         return float(left[0] + right[0])
 
     def width_speed(self) -> float:
         """m/s, above zero while opening."""
         left, right = pybullet.getJointStates(
-            self._body, [self._left, self._right], physicsClientId=self._client
+            self.body, [self._left, self._right], physicsClientId=self._client
         )
         return float(left[1] + right[1])
 
@@ -89,7 +89,7 @@ class Robot:
         """Go for this width (m) with at most this force (N) on each pad; call every step while
         the fingers move, for the arc follows the width that they have reached."""
         pybullet.setJointMotorControlArray(
-            self._body,
+            self.body,
             [self._left, self._right, self._arc],
             pybullet.POSITION_CONTROL,
             targetPositions=[width / 2, width / 2, tip_retreat(self.width())],
@@ -106,14 +106,14 @@ class Robot:
         fingers = {self._left: width / 2, self._right: width / 2, self._arc: tip_retreat(width)}
         positions = dict(zip(self._joints, joints.tolist(), strict=True)) | fingers
         for index, position in positions.items():
-            pybullet.resetJointState(self._body, index, position, physicsClientId=self._client)
+            pybullet.resetJointState(self.body, index, position, physicsClientId=self._client)
         self.drive(joints.tolist())
         self.drive_fingers(width, 20.0)
 
     def visible(self) -> list[VisiblePiece]:
         pieces = []
         states = pybullet.getLinkStates(
-            self._body,
+            self.body,
             list(range(len(self._links))),
             computeForwardKinematics=True,
             physicsClientId=self._client,

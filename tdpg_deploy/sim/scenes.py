@@ -93,11 +93,13 @@ def random_scene(
 class Spawner:
     """Random poses above the workspace, each clear of what is there and of those before."""
 
-    def __init__(self, workspace: Workspace, rng: np.random.Generator, floor: float = 0.0) -> None:
-        """floor: metres above the table below which all is taken."""
+    def __init__(
+        self, workspace: Workspace, rng: np.random.Generator, *, above: float | None = None
+    ) -> None:
+        """above: height in base (m) below which all is taken; the table's when not given."""
         self._workspace = workspace
         self._rng = rng
-        self._floor = workspace.table_z + floor
+        self._floor = workspace.table_z if above is None else above
         self._taken: list[tuple[Array, Array]] = []  # lowest and highest corners of boxes
 
     def pose(self, shape: Shape) -> Transform:

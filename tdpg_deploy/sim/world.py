@@ -24,9 +24,11 @@ from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.robot import Robot
 from tdpg_deploy.sim.scenes import Scene, SceneObject, Spawner
 
-REST_EVERY = 16  # steps between looks at what may be put to sleep
+LOOK_EVERY = 16  # steps between looks at what may be put to sleep
+CALM_LOOKS = 2  # in a row; one alone might meet an object where it turns round
 REST_SPEED = 0.004  # m/s
 REST_TURN = 0.08  # rad/s
+DROP_HEIGHT = 0.06  # m above the highest object's centre, for what is dropped again
 SETTLE_TIME = 4.0  # s for a drop to come to rest; what still trembles then is put to sleep
 SETTLE_DROPS = 20  # rounds of dropping again what landed outside of the workspace
 
@@ -75,15 +77,15 @@ class World:
         self.steps = 0
         self.clock = SimClock(self)
         self._scene = scene
-        self._client = physics.connect()
+        self.client = physics.connect()
         self._furniture = furniture.furnish(config, self.workspace)
         for item in self._furniture:
-            physics.add_static(self._client, item.piece, friction=physics.TABLE_FRICTION)
+            physics.add_static(self.client, item.piece, friction=physics.TABLE_FRICTION)
         carrier: Carrier = Gantry() if config.simulation.carrier == "gantry" else Ur5()
-        self.robot = Robot(self._client, carrier, np.array(config.arm.home), MAX_WIDTH)
-        self._bodies = [
+        self.robot = Robot(self.client, carrier, np.array(config.arm.home), MAX_WIDTH)
+        self.bodies = [
             physics.add_object(
-                self._client,
+                self.client,
                 item.shape,
                 item.X_base_object,
                 friction=config.simulation.friction,
@@ -91,26 +93,26 @@ class World:
             )
             for item in scene.objects
         ]
-        self._resting = [False] * len(self._bodies)
+        self._calm = [0] * len(self.bodies)  # looks in a row at which it hardly moved
         self._settle(np.random.default_rng(seed))
 
     def close(self) -> None:
         """Free the physics. May be called twice."""
-        if self._client >= 0:
-            pybullet.disconnect(self._client)
-            self._client = -1
+        if self.client >= 0:
+            pybullet.disconnect(self.client)
+            self.client = -1
 
     def step(self) -> None:
         """Let 1/240 s pass."""
-        pybullet.stepSimulation(self._client)
+        pybullet.stepSimulation(self.client)
         self.steps += 1
-        if self.steps % REST_EVERY == 0:
+        if self.steps % LOOK_EVERY == 0:
             self._put_to_sleep()
 
     def objects(self) -> tuple[ObjectState, ...]:
         """All objects of the scene, wherever they are now; none is ever lost."""
         states = []
-        for index, (item, body) in enumerate(zip(self._scene.objects, self._bodies, strict=True)):
+        for index, (item, body) in enumerate(zip(self._scene.objects, self.bodies, strict=True)):
             X_base_object = self._pose(body)
             states.append(
                 ObjectState(
@@ -151,66 +153,69 @@ class World:
     # --- rest ---------------------------------------------------------------------------------
 
     def _settle(self, rng: np.random.Generator) -> None:
+        self._come_to_rest()
         for _ in range(SETTLE_DROPS):
-            self._come_to_rest()
-            astray = [state for state in self.objects() if state.where is not Where.WORKSPACE]
+            astray = self._astray()
             if not astray:
                 return
-            above = max(state.X_base_object.translation[2] for state in self.objects())
-            spawner = Spawner(
-                self.workspace, rng, floor=max(above - self.workspace.table_z, 0.0) + 0.06
-            )
+            heap = max(state.X_base_object.translation[2] for state in self.objects())
+            spawner = Spawner(self.workspace, rng, above=heap + DROP_HEIGHT)
             for state in astray:
-                self._drop(self._bodies[state.index], spawner.pose(state.shape))
-                self._resting[state.index] = False
-        raise SceneError(
-            f"{len(astray)} of {len(self._bodies)} objects still fall out of the workspace after "
-            f"{SETTLE_DROPS} drops: use fewer or lower objects"
-        )
+                self._drop(state.index, spawner.pose(state.shape))
+            self._come_to_rest()
+        if self._astray():
+            raise SceneError(
+                f"{len(self._astray())} of {len(self.bodies)} objects still fall out of the "
+                f"workspace after {SETTLE_DROPS} drops: use fewer or lower objects"
+            )
 
-    def _drop(self, body: int, X_base_object: Transform) -> None:
+    def _astray(self) -> list[ObjectState]:
+        return [state for state in self.objects() if state.where is not Where.WORKSPACE]
+
+    def _drop(self, index: int, X_base_object: Transform) -> None:
+        body, self._calm[index] = self.bodies[index], 0
         pybullet.resetBasePositionAndOrientation(
             body,
             X_base_object.translation.tolist(),
             X_base_object.rotation.as_quat().tolist(),
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
         pybullet.changeDynamics(
             body,
             -1,
             activationState=pybullet.ACTIVATION_STATE_WAKE_UP,
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
 
     def _come_to_rest(self) -> None:
         for _ in range(int(SETTLE_TIME / physics.TIME_STEP)):
             self.step()
-            if all(self._resting):
-                return
-        for body in self._bodies:
+            if all(calm >= CALM_LOOKS for calm in self._calm):
+                break
+        for body in self.bodies:
             self._sleep(body)
 
     def _put_to_sleep(self) -> None:
         """Bullet waits two seconds and keeps trembling heaps awake; every step of them costs."""
-        for index, body in enumerate(self._bodies):
-            linear, angular = pybullet.getBaseVelocity(body, self._client)
+        for index, body in enumerate(self.bodies):
+            linear, angular = pybullet.getBaseVelocity(body, self.client)
             calm = max(map(abs, linear)) < REST_SPEED and max(map(abs, angular)) < REST_TURN
-            if calm and self._resting[index] and any(linear):  # twice in a row, and awake
+            self._calm[index] = self._calm[index] + 1 if calm else 0
+            if self._calm[index] >= CALM_LOOKS and any(linear):  # a sleeper's speed is 0
                 self._sleep(body)
-            self._resting[index] = calm
 
     def _sleep(self, body: int) -> None:
         pybullet.changeDynamics(
             body,
             -1,
             activationState=pybullet.ACTIVATION_STATE_SLEEP,
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
 
     # --- places -------------------------------------------------------------------------------
 
     def _pose(self, body: int) -> Transform:
-        position, quaternion = pybullet.getBasePositionAndOrientation(body, self._client)
+        position, quaternion = pybullet.getBasePositionAndOrientation(body, self.client)
         return Transform.from_quaternion(position, quaternion)
 
     def _where(self, p_base: Array) -> Where:

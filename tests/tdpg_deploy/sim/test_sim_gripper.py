@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+from numpy.testing import assert_allclose
+from small_cells import (
+    CARRIERS,
+    MOCK,
+    TABLE,
+    cell,
+    heap,
+    lying,
+    pointing_down,
+    running,
+    touch,
+    travel,
+)
+
+from tdpg_deploy.errors import DeviceTimeout, GripperError
+from tdpg_deploy.hal import Holding
+from tdpg_deploy.sim.arm import SimArm
+from tdpg_deploy.sim.bodies import SHAPES
+from tdpg_deploy.sim.gripper import SimGripper
+from tdpg_deploy.sim.scenes import Scene
+from tdpg_deploy.sim.world import Where, World
+
+
+def reach(arm: SimArm, gripper: SimGripper, x: float, y: float, height: float, yaw: float) -> float:
+    """Grasp at this height of the tool, lift by 20 cm. Returns the width after the lift."""
+    gripper.move(0.085, speed=0.15, force=20)
+    travel(arm, pointing_down(x, y, 0.2, yaw))
+    touch(arm, pointing_down(x, y, height, yaw))
+    gripper.move(0, speed=0.15, force=20)
+    travel(arm, pointing_down(x, y, height + 0.2, yaw))
+    return gripper.state().width
+
+
+@pytest.mark.parametrize("carrier", CARRIERS)
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_block_is_lifted_by_friction_and_let_go_into_the_bin(carrier: str, name: str) -> None:
+    shape = SHAPES[name]
+    size = np.ptp(shape.vertices, axis=0)
+    with running(carrier, lying(name)) as (world, arm, gripper):
+        height = max(size[2] - 0.04, 0.006)
+        width = reach(arm, gripper, 0.5, 0.0, height, np.pi / 2)
+        assert_allclose(width, size[1], atol=0.002)  # the pads close along y
+        assert gripper.state().holding is Holding.OBJECT
+        (held,) = world.objects()
+        assert_allclose(held.X_base_object.translation[2] - TABLE, 0.2 + size[2] / 2, atol=0.02)
+
+        x, y, z = MOCK.bin.position
+        travel(arm, pointing_down(x, y, z - TABLE))
+        gripper.move(0.085, speed=0.15, force=20)
+        world.clock.sleep(0.6)
+        (delivered,) = world.objects()
+        assert delivered.where is Where.BIN
+        assert world.scene().objects == ()
+
+
+@pytest.mark.parametrize("carrier", CARRIERS)
+def test_closing_on_nothing(carrier: str) -> None:
+    with running(carrier) as (world, _, gripper):
+        began = world.clock.now()
+        state = gripper.move(0, speed=0.1, force=20)
+        assert_allclose(state.width, 0, atol=0.001)
+        assert state.holding is Holding.NOTHING
+        assert_allclose(world.clock.now() - began, 0.085 / 0.1, atol=0.05)
+        assert_allclose(gripper.move(0.04, speed=0.1, force=20).width, 0.04, atol=0.001)
+        assert_allclose(gripper.move(1.0, speed=0.1, force=20).width, 0.085, atol=0.001)
+
+
+def test_fingers_that_lose_their_object_close_further() -> None:
+    with running("gantry", lying("cube")) as (world, arm, gripper):
+        travel(arm, pointing_down(0.5, 0, 0.2))
+        touch(arm, pointing_down(0.5, 0, 0.012))
+        assert gripper.move(0, speed=0.15, force=10).holding is Holding.OBJECT
+        pybullet.resetBasePositionAndOrientation(
+            world.bodies[0], (0.5, 0.15, TABLE + 0.03), (0, 0, 0, 1), physicsClientId=world.client
+        )
+        world.clock.sleep(0.3)
+        assert gripper.state().holding is Holding.NOTHING
+        assert gripper.state().width < 0.002
+
+
+def test_both_fingers_move_alike() -> None:
+    """A cube off the middle is pushed to the middle, not gripped where it lies."""
+    with running("gantry", lying("cube", 0.508)) as (world, arm, gripper):
+        width = reach(arm, gripper, 0.5, 0.0, 0.012, 0.0)
+        assert_allclose(width, 0.05, atol=0.002)
+        assert_allclose(world.objects()[0].X_base_object.translation[0], 0.5, atol=0.002)
+
+
+def test_speed_and_force_are_clamped() -> None:
+    with running("gantry") as (world, _, gripper):
+        began = world.clock.now()
+        gripper.move(0, speed=5, force=1000)
+        assert_allclose(world.clock.now() - began, 0.085 / 0.15, atol=0.05)
+
+
+def test_needs_activation() -> None:
+    world = World(cell("gantry"), Scene(objects=()), seed=0)
+    with pytest.raises(GripperError, match="not activated"):
+        SimGripper(world).move(0, speed=0.1, force=20)
+    world.close()
+
+
+def test_deadline() -> None:
+    with running("gantry") as (world, _, gripper):
+        began = world.clock.now()
+        with pytest.raises(DeviceTimeout, match=r"after 0.2 s"):
+            gripper.move(0, speed=0.1, force=20, deadline=0.2)
+        assert world.clock.now() - began < 0.25
+
+
+@pytest.mark.slow
+def test_gantry_and_arm_agree_on_what_a_grasp_brings() -> None:
+    """Same heaps, same grasps, some of them on edges and neighbours."""
+    outcomes: dict[str, list[bool]] = {carrier: [] for carrier in CARRIERS}
+    for seed in range(4):
+        settled = World(cell("gantry"), heap(10, seed), seed=seed)
+        scene = settled.scene()
+        settled.close()
+        for target, yaw in ((0, 0.2), (4, 1.8), (9, 2.9)):
+            x, y, z = scene.objects[target].X_base_object.translation
+            for carrier in CARRIERS:
+                world = World(cell(carrier), scene, seed=seed)
+                arm, gripper = SimArm(world), SimGripper(world)
+                gripper.activate()
+                width = reach(arm, gripper, x, y, max(z - TABLE - 0.01, 0.006), yaw)
+                outcomes[carrier].append(width > 0.004)
+                world.close()
+    gantry, ur5 = (np.array(outcomes[carrier]) for carrier in CARRIERS)
+    assert (gantry == ur5).mean() >= 0.9  # 12 grasps: at most one differs
+    assert gantry.any()
+    assert not gantry.all()
