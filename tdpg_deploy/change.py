@@ -17,9 +17,9 @@ from tdpg_deploy.outcome import Verdict
 MIN_CHANGE, MAX_CHANGE = 0.01, 0.3  # m
 MIN_PIXELS = 300
 # VPG's smallest block is 50 x 50 x 25 mm, 62 ml: half of it gone is a block gone. What only moves
-# rises elsewhere by as much as it fell, but for a tenth that the pixels' size leaves open.
+# rises elsewhere by as much as it fell, but for a fifth that the pixels' size leaves open.
 GONE_VOLUME = 31e-6  # m^3
-GONE_SHARE, MOVED_SHARE = 0.5, 0.1  # of the volume that fell
+GONE_SHARE, MOVED_SHARE = 0.5, 0.2  # of the volume that fell
 REACH = 0.12  # m around an action's path: what it pushes or topples stays within
 MIN_KNOWN = 0.6  # share of the pixels within reach that have to be known for a NO
 
