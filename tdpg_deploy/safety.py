@@ -72,32 +72,30 @@ def check_steps(steps: Sequence[Step], q: Array, config: CellConfig, *, first: i
 def _check_numbers(step: Step, label: str, config: CellConfig) -> None:
     limits = config.limits
     if isinstance(step, MoveFingers):
-        _require_within(label, "width", step.width, 0.0, np.inf, "m")
-        _require_within(label, "force", step.force, 0.0, MAX_FINGER_FORCE, "N")
-        _require_within(label, "speed", step.speed, 0.0, config.gripper.speed, "m/s")
+        if not 0 <= step.width < np.inf:
+            raise PlanRefused(f"{label} has width {step.width} m; pads cannot stand so")
+        _require_up_to(label, "force", step.force, MAX_FINGER_FORCE, "N")
+        _require_up_to(label, "speed", step.speed, config.gripper.speed, "m/s")
     elif isinstance(step, MoveJoints):
         if np.shape(step.q) != (DOF,) or not np.isfinite(step.q).all():
             raise PlanRefused(f"{label} has joints {step.q}; six finite angles are needed")
-        _require_within(label, "speed", step.speed, 0.0, limits.joint_speed, "rad/s")
-        _require_within(
-            label, "acceleration", step.acceleration, 0.0, limits.joint_acceleration, "rad/s^2"
+        _require_up_to(label, "speed", step.speed, limits.joint_speed, "rad/s")
+        _require_up_to(
+            label, "acceleration", step.acceleration, limits.joint_acceleration, "rad/s^2"
         )
     else:
-        force = step.stop_force
-        _require_within(label, "speed", step.speed, 0.0, limits.travel_speed, "m/s")
-        _require_within(label, "acceleration", step.acceleration, 0.0, limits.acceleration, "m/s^2")
-        if force is not None:
+        _require_up_to(label, "speed", step.speed, limits.travel_speed, "m/s")
+        _require_up_to(label, "acceleration", step.acceleration, limits.acceleration, "m/s^2")
+        if step.stop_force is not None:
             highest = max(limits.descend_force, limits.push_force)
-            _require_within(label, "stop force", force, 0.0, highest, "N")
+            _require_up_to(label, "stop force", step.stop_force, highest, "N")
 
 
-def _require_within(
-    label: str, name: str, value: float, low: float, high: float, unit: str
-) -> None:
-    if not low <= value <= high:  # also false for nan
+def _require_up_to(label: str, name: str, value: float, high: float, unit: str) -> None:
+    if not 0 < value <= high:  # also false for nan
         raise PlanRefused(
-            f"{label} has {name} {value} {unit}, outside [{low}, {high:.3f}]; see limits and "
-            "gripper in the cell file"
+            f"{label} has {name} {value} {unit}, outside (0, {high:.3f}]; see limits and gripper "
+            "in the cell file"
         )
 
 
