@@ -14,7 +14,6 @@ from policies.decide import (
     allowed,
     best_grasps,
     best_push,
-    choose_by_critic_one,
     choose_by_critic_two,
     to_primitive,
 )
@@ -57,7 +56,7 @@ class LearnedPolicy:
             maps = allowed(maps, heightmap, avoid)
             grasps = best_grasps(maps, rng)
             push = best_push(maps, rng)
-            chosen = choose_by_critic_one(grasps, push)
+            chosen = self.method.choose(grasps, push, heightmap)
         if chosen is None:
             raise NoActionError(
                 f"{self.method.name}: no action is allowed: nothing rises above the table, "

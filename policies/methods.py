@@ -1,36 +1,75 @@
-"""TDPG and its predecessors as configurations of the same parts."""
+"""TDPG and its predecessors as configurations of the same parts.
+
+GI is missing: its coordinator is a trained classifier, not a rule.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from policies.errors import PolicyError
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from policies.decide import Choice, choose_by_critic_one, rising
+from policies.heightmap import Heightmap
+
+Rule = Callable[[Sequence[Choice], Choice | None, Heightmap], Choice | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """pushes: both maps are valued. doubts: Critic II may swap push and grasp."""
+    """choose: the best grasps, the best push and what was seen -> one of them; None if there
+    is none. pushes: both maps are valued. doubts: Critic II may swap push and grasp."""
 
     name: str
-    pushes: bool
-    doubts: bool
+    choose: Rule
+    pushes: bool = True
+    doubts: bool = False
 
 
-# At decision time VPG and TDPG-base differ in nothing but how they were trained.
+def highest_value(
+    grasps: Sequence[Choice], push: Choice | None, _heightmap: Heightmap
+) -> Choice | None:
+    """VPG's and TDPG's Critic I."""
+    return choose_by_critic_one(grasps, push)
+
+
+OCCUPIED = 0.3  # EPG: part of the goal's border above which it is pushed free first
+WORTHWHILE = 1.0  # EPG: grasp value below which it pushes, in units of the grasp's reward
+BORDER = 5  # pixels; width of the border around the goal
+
+
+def free_the_goal(
+    grasps: Sequence[Choice], push: Choice | None, heightmap: Heightmap
+) -> Choice | None:
+    """EPG: push while the goal is hemmed in, or no grasp promises its reward."""
+    if not grasps or push is None:
+        return choose_by_critic_one(grasps, push)
+    hemmed_in = border_occupancy(heightmap) > OCCUPIED
+    return push if hemmed_in or grasps[0].q < WORTHWHILE else grasps[0]
+
+
+def border_occupancy(heightmap: Heightmap) -> float:
+    """Part of the goal's border that rises above the table; 0 without a goal."""
+    if heightmap.goal is None:
+        return 0.0
+    goal = torch.from_numpy(heightmap.goal.astype(np.float32))[None, None]
+    grown = F.max_pool2d(goal, 2 * BORDER + 1, stride=1, padding=BORDER)[0, 0].numpy() > 0
+    border = grown & ~heightmap.goal
+    return float(rising(heightmap)[border].mean()) if border.any() else 0.0
+
+
+# At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
 METHODS = {
     method.name: method
     for method in (
-        Method(name="grasp-only", pushes=False, doubts=False),
-        Method(name="vpg", pushes=True, doubts=False),
-        Method(name="vpg+critic", pushes=True, doubts=True),
-        Method(name="tdpg-base", pushes=True, doubts=False),
-        Method(name="tdpg", pushes=True, doubts=True),
+        Method(name="grasp-only", choose=highest_value, pushes=False),
+        Method(name="vpg", choose=highest_value),
+        Method(name="vpg+critic", choose=highest_value, doubts=True),
+        Method(name="epg", choose=free_the_goal),
+        Method(name="tdpg-base", choose=highest_value),
+        Method(name="tdpg", choose=highest_value, doubts=True),
     )
 }
-
-
-def method(name: str) -> Method:
-    """By name. Raises PolicyError."""
-    if name not in METHODS:
-        raise PolicyError(f"method {name!r} is unknown; known are {', '.join(METHODS)}")
-    return METHODS[name]

@@ -9,6 +9,7 @@ from policies.errors import HeightmapError
 from policies.heightmap import SIZE, Heightmap
 
 HEIGHT_SCALE = 20.0  # a 50 mm block is 1
+HEIGHT_LIMIT = 0.5  # m; what stands higher, or lies lower, is shown so high or low
 
 INSIDE, SEEN, HEIGHT, RED, GREEN, BLUE, GOAL = range(7)
 
@@ -28,7 +29,8 @@ def encode(heightmap: Heightmap, *, goal: bool) -> torch.Tensor:
     state = np.zeros((channels(goal=goal), SIZE, SIZE), np.float32)
     state[INSIDE] = 1
     state[SEEN] = seen
-    state[HEIGHT] = np.where(seen, heightmap.height, 0) * np.float32(HEIGHT_SCALE)
+    height = np.where(seen, heightmap.height, 0).clip(-HEIGHT_LIMIT, HEIGHT_LIMIT)
+    state[HEIGHT] = height * np.float32(HEIGHT_SCALE)
     state[RED : BLUE + 1] = (heightmap.color.transpose(2, 0, 1) / np.float32(255) - 0.5) * seen
     if goal:
         if heightmap.goal is None:

@@ -1,0 +1,33 @@
+"""Policies by name: what is shipped, a checkpoint's path, or a baseline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from policies.baselines import RandomPolicy
+from policies.checkpoint import load_checkpoint
+from policies.policy import Decider
+
+SHIPPED = "grasp.safetensors"  # in weights/; its card lies beside it
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedPolicy:
+    """sha256: of the checkpoint; None for a policy without weights."""
+
+    name: str
+    decider: Decider
+    sha256: str | None
+
+
+def open_policy(name: str | None = None) -> NamedPolicy:
+    """The shipped policy (None), "random", or a checkpoint's path. Raises CheckpointError."""
+    if name is None:
+        with as_file(files("policies") / "weights" / SHIPPED) as path:
+            return open_policy(str(path))
+    if name == "random":
+        return NamedPolicy(name=name, decider=RandomPolicy(), sha256=None)
+    checkpoint = load_checkpoint(Path(name))
+    return NamedPolicy(name=Path(name).name, decider=checkpoint.policy(), sha256=checkpoint.sha256)
