@@ -1,0 +1,277 @@
+"""An Intel RealSense D435 as `hal.Camera`: depth aligned to colour, metres, fresh frames only."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tdpg_deploy.cell_config import CameraSection
+from tdpg_deploy.drivers.realsense_frames import (
+    Depth,
+    depth_in_metres,
+    mean_depth,
+    same_camera,
+    to_intrinsics,
+)
+from tdpg_deploy.drivers.realsense_library import load_realsense
+from tdpg_deploy.drivers.realsense_source import (
+    RealsenseSource,
+    Recording,
+    StreamFormat,
+    UsbCamera,
+)
+from tdpg_deploy.errors import CameraError, DeviceTimeout, DeviceUnreachable
+from tdpg_deploy.hal import Clock, Intrinsics, RgbdFrame
+
+WARM_UP = 1.0  # s; auto exposure settles within about 30 frames
+FIRST_FRAME_LIMIT = 5.0  # s of real time from the start of the streams
+ARRIVAL_LATENCY = 0.1  # s; from exposure to the host at most, for cameras that do not say
+PATIENCE_MS = 50  # of real time in one wait, between looks at the clock
+
+
+class RealsenseCamera:
+    """`hal.Camera`. The frames come from USB or from `section.recording`, unless a `source` is
+    given (an emulated camera). Recordings are played from their beginning, each frame once."""
+
+    def __init__(
+        self,
+        section: CameraSection,
+        *,
+        clock: Clock,
+        source: RealsenseSource | None = None,
+        warm_up: float = WARM_UP,
+    ) -> None:
+        self._section = section
+        self._clock = clock
+        self._source = source or _source(section)
+        self._warm_up = warm_up
+        self._pipeline: Any = None
+        self._sequence = 0
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        self._require_connected()
+        return self._intrinsics
+
+    @property
+    def device(self) -> Any:
+        """The pyrealsense2 device (for diagnosis)."""
+        self._require_connected()
+        return self._device
+
+    def connect(self) -> None:
+        """Start the streams and let the exposure settle. Raises DeviceUnreachable without a
+        camera, CameraError or DeviceTimeout when it delivers nothing, even after a reset."""
+        if self._pipeline is not None:
+            return
+        try:
+            self._start()
+        except (CameraError, DeviceTimeout):
+            self._source.reset()
+            self._start()
+
+    def close(self) -> None:
+        if self._pipeline is not None:
+            pipeline, self._pipeline = self._pipeline, None
+            self._source.stop(pipeline)
+
+    def capture(self, *, deadline: float = 2.0) -> RgbdFrame:
+        """Depth is the mean over `frames_averaged` frames; colour and time are the last one's.
+
+        Raises DeviceTimeout when no frames arrive, CameraError when only stale, torn or blind
+        ones do, DeviceUnreachable when the camera is gone.
+        """
+        self._require_connected()
+        began = time.time()
+        end = self._clock.now() + deadline
+        depths: list[Depth] = []
+        while True:
+            frames, age = self._next_fresh(began, end)
+            aligned = self._aligned(self._filtered(frames))
+            color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
+            depths.append(depth_in_metres(np.asanyarray(depth.get_data()), depth.get_units()))
+            if len(depths) == self._section.frames_averaged:
+                break
+        mean = mean_depth(depths)
+        if np.isnan(mean).all():
+            raise CameraError(
+                f"{self._source.name}: no pixel has depth; is the lens covered, or all closer "
+                "than 0.2 m?"
+            )
+        self._sequence += 1
+        return RgbdFrame(
+            # Copied: librealsense stalls once some fifteen of its frames are kept.
+            color=np.array(color.get_data()),
+            depth=mean,
+            intrinsics=self._intrinsics,
+            captured_at=self._clock.now() - age,
+            sequence=self._sequence,
+            serial=self._serial,
+        )
+
+    # --- starting -----------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        rs = load_realsense()
+        section = self._section
+        wanted = StreamFormat(width=section.width, height=section.height, fps=section.fps)
+        self._pipeline, profile = self._source.start(wanted)
+        try:
+            self._set_up(rs, profile, wanted)
+            if self._source.is_live:
+                self._set_options(rs)
+                self._settle()
+        except BaseException:
+            self.close()
+            raise
+
+    def _set_up(self, rs: Any, profile: Any, wanted: StreamFormat) -> None:
+        self._device = profile.get_device()
+        self._serial = self._identify(rs)
+        depth, color = (
+            profile.get_stream(kind).as_video_stream_profile()
+            for kind in (rs.stream.depth, rs.stream.color)
+        )
+        self._intrinsics = to_intrinsics(color.get_intrinsics())
+        size = (self._intrinsics.width, self._intrinsics.height)
+        if size != (wanted.width, wanted.height):
+            raise CameraError(
+                f"{self._source.name}: colour is {size[0]}x{size[1]}, the cell file says "
+                f"{wanted.width}x{wanted.height}: set camera.width"
+            )
+        self._align = None if same_camera(depth, color) else rs.align(rs.stream.color)
+        self._filters = [_filter(rs, name) for name in self._section.filters]
+        self._host_time = rs.timestamp_domain.global_time
+        self._played = rs.playback_status.stopped
+
+    def _identify(self, rs: Any) -> str:
+        serial = str(self._device.get_info(rs.camera_info.serial_number))
+        if self._section.serial not in (None, serial):
+            raise DeviceUnreachable(
+                f"{self._source.name} is camera {serial}, the cell file wants "
+                f"{self._section.serial}; its calibration would be wrong"
+            )
+        return serial
+
+    def _set_options(self, rs: Any) -> None:
+        options = {rs.option.emitter_enabled: float(self._section.emitter)}
+        if self._section.preset is not None:
+            preset = getattr(rs.rs400_visual_preset, self._section.preset.replace(" ", "_"))
+            options[rs.option.visual_preset] = float(preset.value)
+        sensor = self._device.first_depth_sensor()
+        for option, value in options.items():
+            if not sensor.supports(option):
+                raise CameraError(
+                    f"{self._source.name}: has no option {option.name}; is it a D435?"
+                )
+            sensor.set_option(option, value)
+
+    def _settle(self) -> None:
+        """Let the exposure settle; also proves that frames arrive."""
+        self._wait(_after(FIRST_FRAME_LIMIT))
+        settled = _after(self._warm_up)
+        while not settled():
+            self._wait(_after(FIRST_FRAME_LIMIT))
+
+    # --- frames -------------------------------------------------------------------------------
+
+    def _next_fresh(self, began: float, end: float) -> tuple[Any, float]:
+        """A pair exposed after `began` (host time), and its age in seconds."""
+        complaint = ""
+        while True:
+            try:
+                frames = self._wait(lambda: self._clock.now() >= end)
+            except DeviceTimeout as error:
+                raise CameraError(complaint) if complaint else error from None
+            if not (complaint := self._flaw(frames, began)):
+                return frames, self._age(frames)
+            if self._clock.now() >= end:
+                raise CameraError(complaint)
+
+    def _wait(self, expired: Callable[[], bool]) -> Any:
+        """The next frames, whatever they are."""
+        while True:
+            try:
+                arrived, frames = self._pipeline.try_wait_for_frames(PATIENCE_MS)
+            except RuntimeError as error:
+                raise DeviceUnreachable(
+                    f"{self._source.name}: lost ({error}); check cable and port, connect again"
+                ) from error
+            if arrived:
+                return frames
+            if self._has_ended():
+                raise CameraError(f"{self._source.name}: has been played to its end")
+            if expired():
+                raise DeviceTimeout(
+                    f"{self._source.name}: no frame before the deadline; is it plugged in? "
+                    "Close and connect again: that resets it"
+                )
+
+    def _flaw(self, frames: Any, began: float) -> str:
+        """What is wrong with this pair, or nothing."""
+        depth, color = frames.get_depth_frame(), frames.get_color_frame()
+        if not depth or not color:
+            return f"{self._source.name}: only one of depth and colour arrives; reconnect it"
+        apart = abs(depth.get_timestamp() - color.get_timestamp()) * 1e-3
+        # The sensors run freely: nearest frames lie up to half a period apart, others a whole.
+        if apart > 0.75 / self._section.fps:
+            return (
+                f"{self._source.name}: depth and colour are {apart:.3f} s apart; the bus is "
+                "overloaded: use a lower rate or another USB port"
+            )
+        age = self._age(frames)
+        if self._source.is_live and age > min(time.time() - began, self._section.max_frame_age):
+            return (
+                f"{self._source.name}: its newest frame is {age:.3f} s old, exposed before it was "
+                "asked for; the camera hangs: close and connect again"
+            )
+        return ""
+
+    def _age(self, frames: Any) -> float:
+        """Seconds since the earlier one of the pair was exposed, by the host's clock."""
+        if not self._source.is_live:
+            return 0.0
+        pair = (frames.get_depth_frame(), frames.get_color_frame())
+        if any(f.get_frame_timestamp_domain() != self._host_time for f in pair):
+            return ARRIVAL_LATENCY
+        return time.time() - min(float(f.get_timestamp()) for f in pair) * 1e-3
+
+    def _filtered(self, frames: Any) -> Any:
+        for step in self._filters:
+            frames = step.process(frames).as_frameset()
+        return frames
+
+    def _aligned(self, frames: Any) -> Any:
+        # rs.align leaves holes even where there is nothing to align.
+        return frames if self._align is None else self._align.process(frames)
+
+    def _has_ended(self) -> bool:
+        playback = self._device.as_playback()
+        return bool(playback) and playback.current_status() == self._played
+
+    def _require_connected(self) -> None:
+        if self._pipeline is None:
+            raise DeviceUnreachable(f"{self._source.name}: not connected; call connect() first")
+
+
+def _source(section: CameraSection) -> RealsenseSource:
+    if section.recording is not None:
+        return Recording(Path(section.recording))
+    return UsbCamera(section.serial)
+
+
+def _filter(rs: Any, name: str) -> Any:
+    return {
+        "spatial": rs.spatial_filter,
+        "temporal": rs.temporal_filter,
+        "hole filling": rs.hole_filling_filter,
+    }[name]()
+
+
+def _after(seconds: float) -> Callable[[], bool]:
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() >= end
