@@ -36,7 +36,7 @@ def decode(kind: type[T] | types.UnionType, data: bytes) -> T:
     """The dataclass (or the member of the union `kind`) in `data`. Raises LogError."""
     try:
         result: T = _typed(kind, json.loads(data))
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         name = getattr(kind, "__name__", str(kind))
         raise LogError(f"not a {name} document: {type(error).__name__}: {error}") from error
     return result

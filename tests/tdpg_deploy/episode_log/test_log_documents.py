@@ -86,6 +86,7 @@ def test_neighbouring_versions_read_each_other() -> None:
         b'{"width": 1, "moving": 0, "holding": "nothing", "stamp": 1}',
         b'{"width": 1, "moving": false, "holding": "perhaps", "stamp": 1}',
         b'{"width": true, "moving": false, "holding": "nothing", "stamp": 1}',
+        b'{"width": 1' + b"0" * 400 + b', "moving": false, "holding": "nothing", "stamp": 1}',
         b"[" * 100_000,
     ],
 )
