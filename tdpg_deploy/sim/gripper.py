@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from tdpg_deploy.errors import DeviceTimeout, GripperError
@@ -13,10 +15,10 @@ from tdpg_deploy.sim.world import World
 SPEEDS = (0.020, 0.150)  # m/s, 2F-85 instruction manual
 FORCES = (10.0, 20.0)  # N on each pad. The real one reaches 235; 80 in the simulator shed objects
 AT_GOAL = 0.001  # m
-STILL = 0.002  # m/s, while moving
 TREMBLE = 0.010  # m/s, of fingers that hold something
-ARRIVED_STEPS = 2  # without headway at the goal
-BLOCKED_STEPS = 12  # without headway elsewhere, 50 ms
+ARRIVED_STEPS = 3  # at the goal
+BLOCKED_STEPS = 12  # 50 ms in which the fingers make no headway
+HEADWAY = 0.0004  # m; at the lowest speed it would be 0.001
 
 
 class SimGripper:
@@ -64,18 +66,24 @@ class SimGripper:
         clock, robot = self._world.clock, self._robot
         ends = clock.now() + deadline
         reached = robot.width()
+        lately = deque([np.inf], maxlen=BLOCKED_STEPS)  # widths
         self._goal = float(np.clip(width, 0.0, MAX_WIDTH))
         self._closing = self._goal < reached
-        target, slow = reached, 0
-        while slow < (ARRIVED_STEPS if abs(reached - self._goal) < AT_GOAL else BLOCKED_STEPS):
+        target = reached
+        while not self._ended(lately):
             travel = np.clip(self._goal - target, -speed * TIME_STEP, speed * TIME_STEP)
             target += float(travel)
             robot.drive_fingers(target, force)
             self._world.step()
-            before, reached = reached, robot.width()
-            slow = slow + 1 if abs(reached - before) < STILL * TIME_STEP else 0
+            lately.append(robot.width())
             if clock.now() > ends:
                 robot.drive_fingers(self._goal, force)
                 raise DeviceTimeout(f"the fingers still move after {deadline:g} s: allow more")
         robot.drive_fingers(self._goal, force)  # and hold on
         return self.state()
+
+    def _ended(self, lately: deque[float]) -> bool:
+        """Whether the fingers stand at the goal, or made no headway in the last widths."""
+        if len(lately) == BLOCKED_STEPS and abs(lately[-1] - lately[0]) < HEADWAY:
+            return True
+        return all(abs(width - self._goal) < AT_GOAL for width in list(lately)[-ARRIVED_STEPS:])
