@@ -90,7 +90,7 @@ class RealsenseCamera:
         end = self._clock.now() + deadline
         depths: list[Depth] = []
         while True:
-            frames, age = self._next_fresh(began, end)
+            frames = self._next_fresh(began, end)
             aligned = self._aligned(self._filtered(frames))
             color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
             depths.append(depth_in_metres(np.asanyarray(depth.get_data()), depth.get_units()))
@@ -108,7 +108,7 @@ class RealsenseCamera:
             color=np.array(color.get_data()),
             depth=mean,
             intrinsics=self._intrinsics,
-            captured_at=self._clock.now() - age,
+            captured_at=self._clock.now() - self._age(frames),
             sequence=self._sequence,
             serial=self._serial,
         )
@@ -179,8 +179,8 @@ class RealsenseCamera:
 
     # --- frames -------------------------------------------------------------------------------
 
-    def _next_fresh(self, began: float, end: float) -> tuple[Any, float]:
-        """A pair exposed after `began` (host time), and its age in seconds."""
+    def _next_fresh(self, began: float, end: float) -> Any:
+        """A pair exposed after `began` (host time)."""
         complaint = ""
         while True:
             try:
@@ -188,7 +188,7 @@ class RealsenseCamera:
             except DeviceTimeout as error:
                 raise CameraError(complaint) if complaint else error from None
             if not (complaint := self._flaw(frames, began)):
-                return frames, self._age(frames)
+                return frames
             if self._clock.now() >= end:
                 raise CameraError(complaint)
 

@@ -8,8 +8,9 @@ import time
 import cv2
 import numpy as np
 import pytest
-from emulated_d435 import INTRINSICS, SERIAL, MachineTime, Scene, emulated, section
+from emulated_d435 import INTRINSICS, SERIAL, Scene, emulated, section
 
+from tdpg_deploy.cell import MachineClock
 from tdpg_deploy.drivers.realsense import RealsenseCamera
 from tdpg_deploy.drivers.realsense_library import load_realsense
 from tdpg_deploy.emulators.realsense import (
@@ -52,7 +53,7 @@ def test_a_frame_of_1280_by_720_is_exact() -> None:
     large = Scene(Intrinsics(width=1280, height=720, fx=920, fy=920, cx=640, cy=360))
     source = EmulatedD435(large.frame)
     section_720 = section().model_copy(update={"width": 1280, "fps": 6})
-    camera = RealsenseCamera(section_720, clock=MachineTime(), source=source, warm_up=0.0)
+    camera = RealsenseCamera(section_720, clock=MachineClock(), source=source, warm_up=0.0)
     camera.connect()
     frame = camera.capture()
     camera.close()
@@ -179,7 +180,7 @@ def test_a_camera_that_wakes_up_on_reset_is_reset(
     monkeypatch.setattr("tdpg_deploy.drivers.realsense.FIRST_FRAME_LIMIT", 0.3)
     source = EmulatedD435(scene.frame, heals_on_reset=True)
     source.fault = stalled
-    camera = RealsenseCamera(section(), clock=MachineTime(), source=source, warm_up=0.0)
+    camera = RealsenseCamera(section(), clock=MachineClock(), source=source, warm_up=0.0)
     camera.connect()
     assert source.resets == 1
     assert camera.capture().sequence == 1
@@ -189,7 +190,7 @@ def test_a_camera_that_wakes_up_on_reset_is_reset(
 def test_constructing_opens_nothing_and_closing_leaves_nothing(scene: Scene) -> None:
     threads = threading.active_count()
     source = EmulatedD435(scene.frame)
-    camera = RealsenseCamera(section(), clock=MachineTime(), source=source)
+    camera = RealsenseCamera(section(), clock=MachineClock(), source=source)
     camera.close()
     assert threading.active_count() == threads
     with pytest.raises(DeviceUnreachable, match=r"not connected; call connect\(\)"):

@@ -52,5 +52,5 @@ def test_intrinsics_keep_librealsenses_order_of_coefficients() -> None:
 
 def test_a_distortion_that_is_not_brown_conrady_must_be_zero() -> None:
     assert to_intrinsics(rs_intrinsics("inverse_brown_conrady", [0.0] * 5)).distortion == (0,) * 5
-    with pytest.raises(CameraError, match="inverse_brown_conrady.*only Brown-Conrady"):
+    with pytest.raises(CameraError, match=r"inverse_brown_conrady.*only Brown-Conrady"):
         to_intrinsics(rs_intrinsics("inverse_brown_conrady", [0.1, 0, 0, 0, 0]))

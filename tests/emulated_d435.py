@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tdpg_deploy.cell import MachineClock
 from tdpg_deploy.cell_config import CameraSection, Pose
 from tdpg_deploy.drivers.realsense import RealsenseCamera
 from tdpg_deploy.emulators.realsense import DepthCamera, EmulatedD435
@@ -25,16 +25,6 @@ INTRINSICS = Intrinsics(
     cy=238.75,
     distortion=(0.01, -0.02, 0.001, -0.002, 0.003),
 )
-
-
-class MachineTime:
-    """`hal.Clock` of this machine."""
-
-    def now(self) -> float:
-        return time.time()
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
 
 
 class Scene:
@@ -71,7 +61,7 @@ def emulated(
 ) -> Iterator[tuple[RealsenseCamera, EmulatedD435]]:
     """A connected driver and the emulated camera that it is connected to."""
     source = EmulatedD435(scene.frame, serial=SERIAL, depth_camera=depth_camera)
-    camera = RealsenseCamera(section(**fields), clock=MachineTime(), source=source, warm_up=0.0)
+    camera = RealsenseCamera(section(**fields), clock=MachineClock(), source=source, warm_up=0.0)
     try:
         camera.connect()
         yield camera, source

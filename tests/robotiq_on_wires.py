@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+
+from ur_rig import PacedClock
 
 from tdpg_deploy.drivers.robotiq import RobotiqGripper, RobotiqWire
 from tdpg_deploy.drivers.robotiq_rtu import rtu_over_tcp_wire, serial_wire
@@ -13,21 +14,8 @@ from tdpg_deploy.drivers.robotiq_urcap import UrcapWire
 from tdpg_deploy.emulators.robotiq import STROKE, KinematicJaws, RobotiqModel
 from tdpg_deploy.emulators.robotiq_wires import RobotiqEmulator
 
+PACE = 8.0  # times as fast as the machine: the fingers travel 85 mm in 0.1 s
 WIRES = ("serial", "rtu_over_tcp", "urcap")
-
-
-class FastClock:
-    """The machine's time, `rate` times as fast: fingers travel 85 mm in less than 0.1 s."""
-
-    def __init__(self, rate: float = 8.0) -> None:
-        self._rate = rate
-        self._start = time.monotonic()
-
-    def now(self) -> float:
-        return self._start + (time.monotonic() - self._start) * self._rate
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds / self._rate)
 
 
 @dataclass
@@ -36,7 +24,7 @@ class Bench:
 
     gripper: RobotiqGripper
     emulator: RobotiqEmulator
-    clock: FastClock
+    clock: PacedClock
     jaws: KinematicJaws
     span: tuple[float, float] = (0.0, STROKE)
 
@@ -48,7 +36,7 @@ class Bench:
 @contextmanager
 def emulated_gripper() -> Iterator[Bench]:
     """The emulator alone, with no wire yet; `gripper` is not usable."""
-    clock = FastClock()
+    clock = PacedClock(PACE)
     jaws = KinematicJaws(clock.now, span=lambda: bench.span)
     with RobotiqEmulator(RobotiqModel(jaws, clock.now)) as emulator:
         gripper = RobotiqGripper(UrcapWire("127.0.0.1", port=1), clock=clock)
