@@ -13,7 +13,7 @@ import numpy.typing as npt
 from policies.primitives import Push
 from tdpg_deploy.episode_log.entries import Intent, Step
 from tdpg_deploy.episode_log.pictures import draw_action, enlarge
-from tdpg_deploy.episode_log.reader import Episode
+from tdpg_deploy.episode_log.reader import Episode, read_episode
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.outcome import GraspOutcome, Outcome, Verdict
@@ -45,14 +45,15 @@ VERDICTS: dict[Verdict, Color] = {
 WORDS = {Verdict.YES: "success", Verdict.NO: "failed", Verdict.UNKNOWN: "unknown"}
 
 
-def write_summary(episode: Episode, path: Path) -> None:
-    """Save the picture as PNG. Raises LogError if the disk refuses it."""
-    done, png = cv2.imencode(".png", np.ascontiguousarray(draw_summary(episode)[..., ::-1]))
+def write_summary(log: Path, picture: Path) -> None:
+    """Draw the episode in `log` into the PNG file `picture`. Raises LogError."""
+    rgb = draw_summary(read_episode(log))
+    done, png = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
     assert done
     try:
-        path.write_bytes(png.tobytes())
+        picture.write_bytes(png.tobytes())
     except OSError as error:
-        raise LogError(f"{path}: cannot be written ({error.strerror})") from error
+        raise LogError(f"{picture}: cannot be written ({error.strerror})") from error
 
 
 def draw_summary(episode: Episode) -> Picture:

@@ -43,7 +43,7 @@ def test_one_card_a_step(tmp_path: Path, calls: list[Call]) -> None:
 
 def test_saved_as_png(tmp_path: Path, calls: list[Call]) -> None:
     episode = logged(tmp_path / "e.mcap", calls)
-    summary.write_summary(episode, tmp_path / "e.png")
+    summary.write_summary(episode.path, tmp_path / "e.png")
     bgr = cv2.imread(str(tmp_path / "e.png"))
     assert bgr is not None
     assert np.array_equal(bgr[..., ::-1], summary.draw_summary(episode))
@@ -74,4 +74,4 @@ def test_long_episodes_end_in_a_count(
 def test_a_full_disk(tmp_path: Path, calls: list[Call]) -> None:
     episode = logged(tmp_path / "e.mcap", calls)
     with pytest.raises(LogError, match=r"e\.png: cannot be written"), small_disk(1000):
-        summary.write_summary(episode, tmp_path / "e.png")
+        summary.write_summary(episode.path, tmp_path / "e.png")
