@@ -16,7 +16,6 @@ SPEEDS = (0.020, 0.150)  # m/s, 2F-85 instruction manual
 FORCES = (10.0, 20.0)  # N on each pad. The real one reaches 235; 80 in the simulator shed objects
 AT_GOAL = 0.001  # m
 TREMBLE = 0.010  # m/s, of fingers that hold something
-ARRIVED_STEPS = 3  # at the goal
 BLOCKED_STEPS = 12  # 50 ms in which the fingers make no headway
 HEADWAY = 0.0004  # m; at the lowest speed it would be 0.001
 
@@ -66,7 +65,7 @@ class SimGripper:
         clock, robot = self._world.clock, self._robot
         ends = clock.now() + deadline
         reached = robot.width()
-        lately = deque([np.inf], maxlen=BLOCKED_STEPS)  # widths
+        lately = deque([np.nan] * BLOCKED_STEPS, maxlen=BLOCKED_STEPS)  # widths
         self._goal = float(np.clip(width, 0.0, MAX_WIDTH))
         self._closing = self._goal < reached
         target = reached
@@ -84,6 +83,6 @@ class SimGripper:
 
     def _ended(self, lately: deque[float]) -> bool:
         """Whether the fingers stand at the goal, or made no headway in the last widths."""
-        if len(lately) == BLOCKED_STEPS and abs(lately[-1] - lately[0]) < HEADWAY:
-            return True
-        return all(abs(width - self._goal) < AT_GOAL for width in list(lately)[-ARRIVED_STEPS:])
+        there = abs(lately[-1] - self._goal) < AT_GOAL
+        still = abs(lately[-1] - lately[-2]) < TREMBLE * TIME_STEP
+        return (there and still) or abs(lately[-1] - lately[0]) < HEADWAY
