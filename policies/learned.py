@@ -22,7 +22,7 @@ from policies.heightmap import Heightmap
 from policies.methods import Method
 from policies.networks.build import for_inference
 from policies.networks.maps import Network
-from policies.policy import CriticVerdict, Decision
+from policies.policy import CriticVerdict, Decision, QMaps
 from policies.primitives import Primitive
 from policies.state import encode
 
@@ -43,6 +43,7 @@ class LearnedPolicy:
         self.goal = goal
         self._dtype = dtype or fastest_dtype()
         self._network = for_inference(network, self._dtype)
+        self._last: tuple[Heightmap, QMaps, torch.Tensor] | None = None
 
     @torch.inference_mode()
     def decide(
@@ -50,8 +51,7 @@ class LearnedPolicy:
     ) -> Decision:
         seconds: dict[str, float] = {}
         with _timed(seconds, "critic_one"):
-            state = encode(heightmap, goal=self.goal).to(self._dtype)
-            maps, features = critic_one(self._network, state, pushes=self.method.pushes)
+            maps, features = self._valued(heightmap)
         with _timed(seconds, "choose"):
             maps = allowed(maps, heightmap, avoid)
             grasps = best_grasps(maps, rng)
@@ -81,6 +81,15 @@ class LearnedPolicy:
             verdict=verdict,
             seconds=seconds,
         )
+
+    def _valued(self, heightmap: Heightmap) -> tuple[QMaps, torch.Tensor]:
+        """Critic I's maps and features. The last ones are kept: when a plan is refused, the same
+        heightmap is decided on again."""
+        if self._last is None or self._last[0] is not heightmap:
+            state = encode(heightmap, goal=self.goal).to(self._dtype)
+            maps, features = critic_one(self._network, state, pushes=self.method.pushes)
+            self._last = heightmap, maps, features
+        return self._last[1:]
 
 
 @contextmanager
