@@ -15,15 +15,19 @@ def load_realsense() -> Any:
     will do.
     """
     try:
-        ctypes.CDLL("libusb-1.0.so.0")
-    except OSError:
-        import libusb_package
-
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    try:
+        _provide_libusb()
         import pyrealsense2
     except ImportError as error:
         raise DeviceUnreachable(
             f"pyrealsense2 cannot be loaded ({error}): pip install 'tdpg-deploy[real]'"
         ) from error
     return pyrealsense2
+
+
+def _provide_libusb() -> None:
+    try:
+        ctypes.CDLL("libusb-1.0.so.0")
+    except OSError:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)

@@ -128,7 +128,7 @@ class EmulatedD435:
         depth_camera = self._depth_camera or DepthCamera(
             intrinsics=seen, X_color_depth=Transform.identity()
         )
-        self._device = _SoftwareD435(rs, self._serial, seen, depth_camera, wanted.fps)
+        self._device = SoftwareD435(rs, self._serial, seen, depth_camera, wanted.fps)
         pipeline = rs.pipeline(rs.context())
         pipeline.set_device(self._device.device)
         config = rs.config()
@@ -169,7 +169,7 @@ class EmulatedD435:
         return Exposure(color=frame.color, counts=counts, color_at=now, depth_at=now)
 
 
-class _SoftwareD435:
+class SoftwareD435:
     """librealsense's software device with a D435's two sensors."""
 
     def __init__(
