@@ -8,7 +8,7 @@ import pytest
 from hal_contract import ArmContract, ArmRig, GripperContract, GripperRig
 
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
-from tdpg_deploy.geometry import Transform
+from tdpg_deploy.geometry import Transform, top_down
 from tdpg_deploy.sim.arm import SimArm
 from tdpg_deploy.sim.bodies import SHAPES
 from tdpg_deploy.sim.gripper import SimGripper
@@ -50,4 +50,17 @@ class TestSimArm(ArmContract):
 class TestSimGripper(GripperContract):
     @pytest.fixture
     def rig(self, world: World) -> GripperRig:
-        return GripperRig(gripper=SimGripper(world), clock=world.clock)
+        def hold() -> float:
+            """Bring the open pads down around the cube in the corner."""
+            arm = SimArm(world)
+            x, y, _ = CORNER
+            for z in (0.10, 0.01):
+                arm.move_linear(
+                    top_down(x, y, world.config.workspace.table_z + z, 0.0),
+                    speed=0.3,
+                    acceleration=1.2,
+                    deadline=20.0,
+                )
+            return 0.05
+
+        return GripperRig(gripper=SimGripper(world), clock=world.clock, hold=hold)
