@@ -107,7 +107,7 @@ def _info(args: argparse.Namespace, console: Console) -> int:
     table = Table("step", "action", "q", "refused", "contact", "success")
     damage = None
     try:
-        for number, step in enumerate(episode.steps(images=False), start=1):
+        for number, step in enumerate(episode.steps(images=False, states=False), start=1):
             table.add_row(str(number), *_row(step))
     except LogError as error:
         damage = error

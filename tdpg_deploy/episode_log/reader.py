@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,23 +45,25 @@ class Episode:
     path: Path
     about: About
 
-    def entries(self, *, images: bool = True) -> Iterator[Entry]:
-        """Everything, in order; without `images` no look, and many times faster."""
+    def entries(self, *, images: bool = True, states: bool = True) -> Iterator[Entry]:
+        """Everything, in order; faster without `images` (looks, pictures of Q-maps) or `states`
+        (of arm and gripper)."""
+        skipped = (_IMAGES if not images else set()) | (_STATES if not states else set())
         with self.path.open("rb") as file:
             try:
-                yield from _entries(read_records(file), images=images)
+                yield from _entries(read_records(file), skipped)
             except LogError as error:
                 raise LogError(f"{self.path}: {error}") from error
 
-    def steps(self, *, images: bool = True) -> Iterator[Step]:
+    def steps(self, *, images: bool = True, states: bool = True) -> Iterator[Step]:
         """One for each planned action, and a last one for refusals that led to none."""
-        return group(self.entries(images=images))
+        return group(self.entries(images=images, states=states))
 
     def result(self) -> EpisodeResult | None:
         """How the episode went; None if the log ends before that was told."""
         result = None
         with contextlib.suppress(LogError):
-            for entry in self.entries(images=False):
+            for entry in self.entries(images=False, states=False):
                 if isinstance(entry, End):
                     result = entry.result
         return result
@@ -97,7 +99,7 @@ def _read_head(records: Iterator[McapRecord]) -> About:
     return from_metadata(metadata[METADATA], metadata.get(VERSIONS, {}), attachments)
 
 
-def _entries(records: Iterator[McapRecord], *, images: bool) -> Iterator[Entry]:
+def _entries(records: Iterator[McapRecord], skipped: Set[str]) -> Iterator[Entry]:
     topics: dict[int, str] = {}
     parts = _Parts()
     for record in records:
@@ -105,9 +107,11 @@ def _entries(records: Iterator[McapRecord], *, images: bool) -> Iterator[Entry]:
             topics[record.id] = record.topic
         elif isinstance(record, Message):
             topic = topics.get(record.channel_id, "")
+            if topic in skipped:
+                continue
             if topic in _ALONE:
                 yield documents.decode(channels.DOCUMENTS[topic], record.data)
-            elif topic in _CLOSING and (images or topic not in _OF_IMAGES):
+            elif topic in _CLOSING:
                 entry = _CLOSING[topic](parts, record)
                 if entry is not None:
                     yield entry
@@ -190,5 +194,6 @@ _CLOSING: dict[str, Callable[[_Parts, Message], Entry | None]] = {
     channels.PLAN: _intent,
     channels.TOOL_FORCE: _arm_state,
 }
-_OF_IMAGES = {channels.LOOK, channels.Q_GRASP}
+_IMAGES = channels.IMAGES | {channels.LOOK}
+_STATES = frozenset({channels.JOINTS, channels.TOOL_FORCE, channels.GRIPPER})
 _ALONE = channels.DOCUMENTS.keys() - _CLOSING.keys() - {channels.DECISION}

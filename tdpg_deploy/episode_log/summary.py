@@ -27,7 +27,7 @@ MARGIN = 24
 THUMBNAIL = 280
 GAP = 10
 TITLE = 44
-FOOTER = 64
+FOOTER = 86
 CARD_WIDTH = 2 * THUMBNAIL + 3 * GAP
 CARD_HEIGHT = TITLE + THUMBNAIL + FOOTER
 HEADER = 118
@@ -61,7 +61,7 @@ def draw_summary(episode: Episode) -> Picture:
     cards: list[Picture] = []
     left_out, damage = 0, None
     try:
-        for number, step in enumerate(episode.steps(), start=1):
+        for number, step in enumerate(episode.steps(states=False), start=1):
             if len(cards) < MAX_CARDS:
                 cards.append(_card(number, step))
             else:
@@ -120,24 +120,31 @@ def _witnesses(outcome: Outcome) -> str:
     if isinstance(outcome, GraspOutcome):
         width = outcome.width_after_lift
         text = f"held {outcome.held_by_width.value}, gone {outcome.gone_from_map.value}"
-        text += f", {1000 * width:.0f} mm wide" if isfinite(width) else ""
+        text += f", {round(1000 * width)} mm wide" if isfinite(width) else ""
     else:
-        text = f"travelled {1000 * outcome.travelled:.0f} mm, changed {outcome.changed.value}"
+        text = f"travelled {round(1000 * outcome.travelled)} mm, changed {outcome.changed.value}"
     contact = outcome.motion.contact
     return text if contact is None else f"{text}, force stop at {contact}"
 
 
-def _reasoning(step: Step) -> str:
-    parts: list[str] = []
-    if step.intent is not None:
-        parts += step.intent.plan.notes
-        verdict = step.intent.decision.verdict
-        if verdict is not None:
-            said = "overruled" if verdict.overruled else "agreed"
-            parts.append(f"critic II {said}")
-    if step.refusals:
-        parts.append(f"{len(step.refusals)} refused: {step.refusals[-1].reason}")
+def _reasoning(intent: Intent) -> str:
+    parts = list(intent.plan.notes)
+    verdict = intent.decision.verdict
+    if verdict is not None:
+        said = "overruled" if verdict.overruled else "agreed"
+        parts.append(f"critic II {said}")
     return ", ".join(parts)
+
+
+def _remarks(step: Step) -> Iterator[tuple[str, Color]]:
+    """The lines under a card's pictures."""
+    if step.outcome is not None:
+        yield _witnesses(step.outcome), INK
+    reasoning = "" if step.intent is None else _reasoning(step.intent)
+    if reasoning:
+        yield reasoning, FADED
+    if step.refusals:
+        yield f"{len(step.refusals)} refused: {step.refusals[-1].reason}", FADED
 
 
 # --- cards ------------------------------------------------------------------------------------
@@ -154,10 +161,8 @@ def _card(number: int, step: Step) -> Picture:
     for picture, left in ((_seen(step), GAP), (_values(step), 2 * GAP + THUMBNAIL)):
         small = cv2.resize(picture, (THUMBNAIL, THUMBNAIL), interpolation=cv2.INTER_AREA)
         card[TITLE : TITLE + THUMBNAIL, left : left + THUMBNAIL] = small
-    under = TITLE + THUMBNAIL
-    if step.outcome is not None:
-        _write(card, _fit(_witnesses(step.outcome), 0.5), (GAP, under + 26), INK, 0.5)
-    _write(card, _fit(_reasoning(step), 0.45), (GAP, under + 50), FADED, 0.45)
+    for line, (text, ink) in enumerate(_remarks(step)):
+        _write(card, _fit(text, 0.48), (GAP, TITLE + THUMBNAIL + 26 + 22 * line), ink, 0.48)
     cv2.rectangle(card, (0, 4), (CARD_WIDTH - 1, CARD_HEIGHT - 1), EDGE)
     return card
 

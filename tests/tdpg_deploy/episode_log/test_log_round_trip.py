@@ -98,10 +98,14 @@ def test_every_call_comes_back(tmp_path: Path, goal: bool) -> None:
         assert same(entry, expected(call)), call.name
 
 
-def test_entries_without_images_are_the_others(logged: tuple[Path, list[Call]]) -> None:
+def test_entries_without_images_or_states_are_the_others(
+    logged: tuple[Path, list[Call]],
+) -> None:
     path, calls = logged
     others = [expected(call) for call in calls if call.name != "observe"]
     assert same(list(read_episode(path).entries(images=False)), others)
+    told = [expected(call) for call in calls if not call.name.endswith(("observe", "_state"))]
+    assert same(list(read_episode(path).entries(images=False, states=False)), told)
 
 
 def test_steps_group_what_belongs_together(logged: tuple[Path, list[Call]]) -> None:
