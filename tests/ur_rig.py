@@ -48,22 +48,22 @@ def emulated_controller(host: str, **options: object) -> Iterator[ControllerProc
     """A controller that is gone afterwards, with every process that talked to it."""
     with ControllerProcess(host=host, **options) as robot:
         yield robot
-    assert processes_of(host) == []
+    assert processes_of(host) == {}
     for port in PORTS:
         with socket.socket() as probe:
             assert probe.connect_ex((host, port)) != 0, f"{host}:{port} still listens"
 
 
-def processes_of(host: str) -> list[str]:
-    """Command lines of running processes that name this address."""
-    found = []
+def processes_of(host: str) -> dict[int, str]:
+    """Command lines of running processes that name this address, by process id."""
+    found = {}
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = path.read_bytes().decode("utf-8", "replace").split("\0")
         except OSError:  # ended meanwhile
             continue
         if host in words:
-            found.append(" ".join(words))
+            found[int(path.parent.name)] = " ".join(words)
     return found
 
 

@@ -43,7 +43,11 @@ class ControlProcess:
         )
         theirs.close()
         self._number = 0
-        self._await_answer(deadline)
+        try:
+            self._await_answer("to connect", deadline)
+        except ArmError:
+            self.kill()
+            raise
 
     def call(self, name: str, *arguments: object, deadline: float = 2.0) -> Any:
         """The result of a `Session` method. The child is killed when it does not answer."""
@@ -54,7 +58,7 @@ class ControlProcess:
             self._connection.send((self._number, name, arguments))
         except OSError as error:
             raise self._died() from error
-        return self._await_answer(deadline)
+        return self._await_answer(name, deadline)
 
     def kill(self) -> None:
         """End the child now, whatever it does. The controller's watchdog stops the arm."""
@@ -65,7 +69,7 @@ class ControlProcess:
             self._process.wait()
         self._connection = self._process = None
 
-    def _await_answer(self, deadline: float) -> Any:
+    def _await_answer(self, request: str, deadline: float) -> Any:
         assert self._connection is not None
         end = time.monotonic() + deadline
         try:
@@ -74,14 +78,14 @@ class ControlProcess:
                 if number != self._number:
                     continue  # of a call that Ctrl-C interrupted
                 if error is not None:
-                    raise ArmError(error)
+                    raise ArmError(f"ur_rtde refused {request}: {error}")
                 return result
         except (EOFError, OSError) as lost:
             raise self._died() from lost
         self.kill()
         raise DeviceTimeout(
-            f"ur_rtde gave no answer within {deadline:.1f} s and was ended: the link to the "
-            "controller hangs; check the network, then call recover()"
+            f"ur_rtde gave no answer to {request} within {deadline:.1f} s and was ended: the link "
+            "hangs, or another program runs on the controller; check both, then call recover()"
         )
 
     def _died(self) -> DeviceUnreachable:

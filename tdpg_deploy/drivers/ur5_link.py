@@ -114,7 +114,7 @@ class UrLink:
 
     def sample(self) -> Sample:
         """The next state. When none comes, the link is over."""
-        sample: Sample | None = self._control.call("sample")
+        sample: Sample | None = self._control.call("sample", deadline=1.0)
         if sample is None:
             self._control.kill()
             raise DeviceUnreachable(
@@ -215,9 +215,9 @@ def _start_problem(text: str) -> ArmError:
         return ArmError(
             "the controller's input registers are in use: end the other program that controls "
             "this arm, or disable EtherNet/IP, PROFINET and MODBUS in the installation "
-            f"(ur_rtde: {text})"
+            f"({text})"
         )
-    return ArmError(f"the driver's program did not start on the controller (ur_rtde: {text})")
+    return ArmError(f"the driver's program did not start on the controller: {text}")
 
 
 def _local_control() -> ArmError:

@@ -29,6 +29,7 @@ _log = logging.getLogger(__name__)
 
 JOINT_SPEED_LIMIT = 3.3  # rad/s: the UR5's 180 degrees a second, and a little
 FORCE_LIMIT = 150.0  # N at the tool, PolyScope's default safety setting
+FORCE_LIMIT_AFTER = 0.1  # s; the real one reacts within 0.25 s (UR5 manual, safety functions)
 SAFETY_DECELERATION = 20.0  # rad/s^2, of a protective, safeguard or emergency stop
 IDLE_DECELERATION = 5.0  # rad/s^2, when a program ends while the arm moves
 UNLOCK_AFTER = 5.0  # s; PolyScope lets nobody release a protective stop before
@@ -67,7 +68,7 @@ class Controller:
         self.q = self.q_target = self.plant.q
         self.qd: Array = np.zeros(6)
         self.force_bias: Array = np.zeros(3)
-        self._force = 0.0
+        self._force = self._over_force_limit = 0.0
         self._program: Program | None = None
         self._watchdog: tuple[str, float] | None = None
         self._written_at: dict[str, float] = {}
@@ -98,9 +99,7 @@ class Controller:
         self._step_motion()
         self.plant.drive(self.q_target, self.dt)
         self.q, self.qd = self.plant.q, self.plant.qd
-        before, self._force = self._force, float(np.linalg.norm(self.plant.force))
-        if self._force > max(FORCE_LIMIT, before):  # it may be drawn back after a stop
-            self.protective_stop("the force at the tool exceeds the safety limit")
+        self._check_force()
 
     def _step_program(self) -> None:
         assert self._program is not None
@@ -127,6 +126,13 @@ class Controller:
         self.q_target = target
         if self.motion.done and self.runtime is not RuntimeState.PAUSED:
             self.motion = None
+
+    def _check_force(self) -> None:
+        before, self._force = self._force, float(np.linalg.norm(self.plant.force))
+        pressed = self.is_moving and self._force > max(FORCE_LIMIT, 0.99 * before)
+        self._over_force_limit = self._over_force_limit + self.dt if pressed else 0.0
+        if self._over_force_limit > FORCE_LIMIT_AFTER:
+            self.protective_stop("the force at the tool exceeds the safety limit")
 
     # --- programs -----------------------------------------------------------------------------
 
@@ -248,6 +254,6 @@ class Controller:
             self.stop_program()
         self.remote = remote
 
-    def reboot(self) -> None:
-        """Power lost and back: modes, registers and set-up as after start-up, arm where it is."""
-        self._boot(RobotMode.POWER_OFF)
+    def reboot(self, mode: RobotMode = RobotMode.POWER_OFF) -> None:
+        """Modes, registers and set-up as after start-up; the arm where it is."""
+        self._boot(mode)

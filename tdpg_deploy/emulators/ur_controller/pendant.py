@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+from tdpg_deploy.emulators.ur_controller.modes import RobotMode
 from tdpg_deploy.emulators.ur_controller.server import Server
 
 
@@ -39,6 +40,7 @@ class Pendant:
             "tool": c.X_base_tool.as_rotation_vector().tolist(),
             "payload": c.payload,
             "runtime": c.runtime.name,
+            "program": c.program_name,
             "safety": c.safety.name,
             "mode": c.mode.name,
         }
@@ -106,3 +108,10 @@ class Pendant:
         """The controller goes down, clients are cut off; `plug_in` ends the boot."""
         await self._server.unplug()
         self._controller.reboot()
+
+    async def reset(self) -> None:
+        """All as it was at first, except for where the arm stands."""
+        await self._server.unplug()
+        self._server.thaw()
+        self._controller.reboot(RobotMode.RUNNING)
+        await self._server.listen()
