@@ -44,7 +44,7 @@ JOINT_NAMES = (
     "wrist_3_joint",
 )
 
-PNG_LEVEL = 1  # a third of the time of the default for a tenth more bytes
+PNG_LEVEL = 1  # of a noisy 720p image: 0.6 of the time of the default, for 2 % more bytes
 MAX_SIDE = 4096  # pixels; no camera of ours is larger, and a hostile header may not cost memory
 MILLIMETRE = np.float32(0.001)  # metres a count of the D435's Z16 stream, as librealsense has it
 

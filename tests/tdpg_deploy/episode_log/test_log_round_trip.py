@@ -32,6 +32,8 @@ from tdpg_deploy.episode_log.writer import EpisodeWriter
 from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.geometry import Transform
+from tdpg_deploy.hal import Intrinsics
+from tdpg_deploy.perception import build_heightmap, workspace_of
 
 
 @pytest.fixture(scope="module")
@@ -314,3 +316,30 @@ def test_results_without_truth_or_error(tmp_path: Path) -> None:
     with EpisodeWriter(path, ABOUT, now=synthetic.now) as writer:
         writer.end(bare, stamp=9.5)
     assert list(read_episode(path).entries()) == [End(result=bare, stamp=9.5)]
+
+
+@pytest.mark.parametrize("in_millimetres", [True, False])
+def test_the_logged_frame_makes_the_logged_heightmap_again(
+    tmp_path: Path, in_millimetres: bool
+) -> None:
+    """To the last bit, with the camera's pose from the log's own head."""
+    synthetic = Synthetic()
+    depth = synthetic.rng.uniform(0.5, 0.9, (720, 1280)).astype(np.float32)
+    if in_millimetres:
+        depth = np.round(depth * 1000).astype(np.float32) * np.float32(0.001)
+    frame = replace(
+        synthetic.frame(width=1280, height=720),
+        depth=depth,
+        intrinsics=Intrinsics(width=1280, height=720, fx=920.0, fy=920.0, cx=639.5, cy=359.5),
+    )
+    workspace = workspace_of(ABOUT.cell)
+    heightmap = build_heightmap(frame, ABOUT.cell.X_base_camera, workspace)
+    assert heightmap.valid.any()
+    path = tmp_path / "episode.mcap"
+    write(path, [Call(name="observe", arguments=(frame, heightmap))], now=synthetic.now)
+    episode = read_episode(path)
+    [look] = episode.entries()
+    assert isinstance(look, Look)
+    cell = episode.about.cell
+    assert same(build_heightmap(look.frame, cell.X_base_camera, workspace_of(cell)), heightmap)
+    assert same(look.heightmap, heightmap)
