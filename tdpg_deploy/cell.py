@@ -6,15 +6,19 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
 
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.hal import Arm, Camera, Clock, Gripper
+from tdpg_deploy.hal import Arm, Camera, Clock, Gripper, RgbdFrame
 
 if TYPE_CHECKING:
     from tdpg_deploy.sim.scenes import Scene
 
-Truth = Callable[[], Mapping[str, int]]
+Truth: TypeAlias = Callable[[], Mapping[str, int]]
+GoalPixels: TypeAlias = Callable[[RgbdFrame], npt.NDArray[np.bool_]]
 
 
 def open_cell(
@@ -32,7 +36,9 @@ class Cell:
     """Devices of one cell. `with cell:` connects them; on any exit the arm is stopped and all
     are closed, the last one first, even when one of them fails.
 
-    truth: counts that only a simulated world knows; for judging, never for deciding.
+    goal_pixels: (H, W) of the frame just taken, where it shows the object to fetch; None where
+    nothing can tell. truth: counts that only a simulated world knows; for judging, never for
+    deciding.
     """
 
     def __init__(
@@ -43,6 +49,7 @@ class Cell:
         arm: Arm,
         gripper: Gripper,
         clock: Clock,
+        goal_pixels: GoalPixels | None = None,
         truth: Truth | None = None,
         release: Callable[[], None] | None = None,
     ) -> None:
@@ -51,6 +58,7 @@ class Cell:
         self.arm = arm
         self.gripper = gripper
         self.clock = clock
+        self.goal_pixels = goal_pixels
         self.truth = truth
         self._release = release
         self._exits = ExitStack()
@@ -106,11 +114,14 @@ def _real_cell(config: CellConfig) -> Cell:
 def _simulated_cell(config: CellConfig, scene: Scene | None, seed: int) -> Cell:
     from tdpg_deploy.sim.arm import SimArm
     from tdpg_deploy.sim.camera import SimCamera
+    from tdpg_deploy.sim.goal import goal_pixels
     from tdpg_deploy.sim.gripper import SimGripper
     from tdpg_deploy.sim.scenes import Scene
     from tdpg_deploy.sim.world import Where, World
 
-    world = World(config, Scene(objects=()) if scene is None else scene, seed=seed)
+    scene = scene or Scene(objects=())
+    world = World(config, scene, seed=seed)
+    goals = [index for index, item in enumerate(scene.objects) if item.goal]
 
     def truth() -> dict[str, int]:
         places = [state.where for state in world.objects()]
@@ -122,6 +133,7 @@ def _simulated_cell(config: CellConfig, scene: Scene | None, seed: int) -> Cell:
         arm=SimArm(world),
         gripper=SimGripper(world),
         clock=world.clock,
+        goal_pixels=lambda frame: goal_pixels(world, frame, goals),
         truth=truth,
         release=world.close,
     )

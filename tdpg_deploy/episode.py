@@ -11,17 +11,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from policies.errors import NoActionError
-from policies.heightmap import Heightmap, Workspace
+from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision
 from policies.primitives import Grasp, Primitive
 from tdpg_deploy.cell import Cell
 from tdpg_deploy.change import changed, gone
 from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
-from tdpg_deploy.errors import DeviceError, LogError, PlanRefused
+from tdpg_deploy.errors import ConfigError, DeviceError, LogError, PlanRefused
 from tdpg_deploy.execution import execute, held, make_ready
 from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
-from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.perception import build_heightmap, workspace_of
 from tdpg_deploy.plan import Plan
 from tdpg_deploy.safety import check
 
@@ -46,10 +46,15 @@ def run_episode(
 ) -> EpisodeResult:
     """Act until an EndReason holds. `cell` is connected.
 
+    goal: fetch the object that `cell.goal_pixels` shows, then stop; raises ConfigError where the
+    cell has no such thing.
     confirm: asked before each action; a no ends the episode as the operator's stop.
+
     A device error or Ctrl-C ends the episode too: the arm is stopped and the result says so.
     Anything else, such as a full disk under the log, stops the arm, ends the log and is raised.
     """
+    if goal and cell.goal_pixels is None:
+        raise ConfigError("no goal: nothing tells this cell which pixels show the object to fetch")
     episode = _Episode(cell=cell, policy=policy, rng=rng, log=log, goal=goal, confirm=confirm)
     try:
         result = episode.result(episode.run())
@@ -136,10 +141,12 @@ class _Episode:
 
     def look(self) -> Heightmap:
         cell, config = self.cell, self.cell.config
-        frame = cell.camera.capture()
-        x, y = config.workspace.x_range[0], config.workspace.y_range[0]
-        workspace = Workspace(x_min=x, y_min=y, table_z=config.workspace.table_z)
+        frame, workspace = cell.camera.capture(), workspace_of(config)
         heightmap = build_heightmap(frame, config.X_base_camera, workspace)
+        if self.goal and cell.goal_pixels is not None:
+            white = np.uint8(255) * cell.goal_pixels(frame)[..., None].repeat(3, axis=2)
+            painted = build_heightmap(replace(frame, color=white), config.X_base_camera, workspace)
+            heightmap = replace(heightmap, goal=painted.color[..., 0] > 127)
         self.log.observe(frame, heightmap)
         return heightmap
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from kinematic_cell import (
+    CAMERA_HEIGHT,
     Box,
     FakeArm,
     FakeCamera,
@@ -19,11 +22,11 @@ from policies.errors import NoActionError
 from policies.heightmap import SIZE, Heightmap
 from policies.policy import ROTATIONS, Decision, QMaps
 from policies.primitives import Grasp, Primitive, Push
-from tdpg_deploy.cell import Cell
+from tdpg_deploy.cell import Cell, GoalPixels
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode import MAX_REFUSALS, run_episode
 from tdpg_deploy.episode_record import EpisodeResult
-from tdpg_deploy.errors import CameraError, LogError, ProtectiveStop
+from tdpg_deploy.errors import CameraError, ConfigError, LogError, ProtectiveStop
 from tdpg_deploy.hal import ArmState, GripperState, RgbdFrame
 from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
 from tdpg_deploy.plan import Plan
@@ -182,9 +185,42 @@ def test_no_action() -> None:
     assert run(kinematic_cell(table), lambda *_: None).reason is EndReason.NO_ACTION
 
 
+def shows(*boxes: Box) -> GoalPixels:
+    """Goal pixels: all that is as far from the camera as the tops of these boxes."""
+
+    def pixels(frame: RgbdFrame) -> npt.NDArray[np.bool_]:
+        shown = np.zeros(frame.depth.shape, np.bool_)
+        for box in boxes:
+            shown |= np.isclose(frame.depth, CAMERA_HEIGHT - box.height)
+        return shown
+
+    return pixels
+
+
+def grasp_goal(heightmap: Heightmap, avoid: Sequence[Primitive]) -> Primitive:
+    assert heightmap.goal is not None
+    only = np.where(heightmap.goal, heightmap.height, 0).astype(np.float32)
+    return grasp_highest(replace(heightmap, height=only), avoid)
+
+
+def test_a_goal_that_is_fetched_ends_the_episode_with_others_left() -> None:
+    goal, other = Box(x=0.45, y=0.1, height=0.04), Box(x=0.55, y=-0.1, height=0.07)
+    table = Table(CONFIG, goal, other)
+    cell = kinematic_cell(table, goal_pixels=shows(goal))
+    result = run(cell, grasp_goal, goal=True)
+    assert (result.reason, result.actions) == (EndReason.GOAL_REACHED, 1)
+    assert table.boxes == [other]
+
+
 def test_a_goal_that_is_not_seen_is_lost() -> None:
     table = Table(CONFIG, Box(x=0.5, y=0.0))
-    assert run(kinematic_cell(table), goal=True).reason is EndReason.GOAL_LOST
+    cell = kinematic_cell(table, goal_pixels=shows())
+    assert run(cell, goal=True).reason is EndReason.GOAL_LOST
+
+
+def test_a_goal_that_nothing_can_tell_is_bad_input() -> None:
+    with pytest.raises(ConfigError, match="which pixels show"):
+        run(kinematic_cell(Table(CONFIG)), goal=True)
 
 
 def test_an_operator_who_says_no_ends_it_before_anything_moves() -> None:
