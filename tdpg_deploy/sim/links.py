@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -86,6 +87,7 @@ def _ur5_pieces() -> tuple[tuple[ConvexPiece, ...], ...]:
     return tuple(tuple(ConvexPiece.from_vertices(hull) for hull in link) for link in hulls)
 
 
+@cache
 def ur5_links() -> tuple[Link, ...]:
     """Six turning links, parent before child, in UR's `base` frame."""
     before = (Transform.identity(), *(_beyond_joint(i) for i in range(5)))
@@ -110,6 +112,7 @@ def ur5_links() -> tuple[Link, ...]:
 GANTRY_HEIGHT = 1.0  # m; lower rails' bounding boxes would keep piles of objects awake
 
 
+@cache
 def gantry_links() -> tuple[Link, ...]:
     """x, y, yaw, then z downwards; the last link's frame is the flange."""
     return (
@@ -156,19 +159,25 @@ def tip_retreat(width: float) -> float:
     return float(_KNUCKLE * (np.sqrt(1 - _SINE_CLOSED**2) - np.sqrt(1 - sine * sine)))
 
 
+@cache
+def _gripper_pieces() -> tuple[tuple[ConvexPiece, ...], tuple[ConvexPiece, ...]]:
+    """Of the palm, from the flange on; of a finger, its pad's face at x = 0, its tip at z = 0."""
+    palm = cylinder(0.0375, 0.0, 0.045), box(0.100, 0.062, 0.055, center=(0, 0, 0.068))
+    pad = box(0.014, 0.022, 0.0375, center=(0.007, 0, -0.01875))
+    bar = box(0.024, 0.026, 0.048, center=(0.018, 0, -0.0615))
+    return (
+        tuple(ConvexPiece.from_vertices(hull) for hull in palm),
+        tuple(ConvexPiece.from_vertices(hull) for hull in (pad, bar)),
+    )
+
+
 def gripper_links(wrist: int, X_wrist_flange: Transform) -> tuple[Link, ...]:
     """Palm, arc, left finger (towards tool +x), right finger; carried by the link `wrist`.
 
     The arc slides both fingers along the approach axis as the linkage would; each finger
     slides by half the width.
     """
-    palm = (
-        ConvexPiece.from_vertices(cylinder(0.0375, 0.0, 0.045)),
-        ConvexPiece.from_vertices(box(0.100, 0.062, 0.055, center=(0, 0, 0.068))),
-    )
-    pad = box(0.014, 0.022, 0.0375, center=(0.007, 0, -0.01875))
-    bar = box(0.024, 0.026, 0.048, center=(0.018, 0, -0.0615))
-    finger = tuple(ConvexPiece.from_vertices(hull) for hull in (pad, bar))
+    palm, finger = _gripper_pieces()
     mirror = Transform(Rotation.from_euler("z", np.pi), np.zeros(3))
     tip = Transform(Rotation.identity(), np.array([0.0, 0.0, TIP_CLOSED]))
     return (

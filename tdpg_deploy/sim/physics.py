@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +102,7 @@ def collision_shape(client: int, pieces: Sequence[ConvexPiece]) -> int:
     return union
 
 
-@cache
+@lru_cache(maxsize=256)  # blocks and robot come back in each world, furniture may differ
 def _core(piece: ConvexPiece) -> Array:
     """(n, 3) corners of the piece less Bullet's margin, so that contact happens at its faces."""
     inward = piece.planes + np.array([0, 0, 0, HULL_MARGIN])

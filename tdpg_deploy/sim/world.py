@@ -94,7 +94,11 @@ class World:
             for item in scene.objects
         ]
         self._calm = [0] * len(self.bodies)  # looks in a row at which it hardly moved
-        self._settle(np.random.default_rng(seed))
+        try:
+            self._settle(np.random.default_rng(seed))
+        except SceneError:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Free the physics. May be called twice."""
