@@ -220,8 +220,8 @@ class RealsenseCamera:
         # The sensors run freely: nearest frames lie up to half a period apart, others a whole.
         if apart > 0.75 / self._section.fps:
             return (
-                f"{self._source.name}: depth and colour are {apart:.3f} s apart; the bus is "
-                "overloaded: use a lower rate or another USB port"
+                f"{self._source.name}: depth and colour are {apart:.3f} s apart; one of them has "
+                "ceased or the bus is overloaded: connect again, at a lower rate or another port"
             )
         age = self._age(frames)
         if self._source.is_live and age > min(time.time() - began, self._section.max_frame_age):

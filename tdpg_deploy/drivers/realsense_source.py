@@ -126,9 +126,14 @@ class Recording:
         config = rs.config()
         config.enable_device_from_file(str(self._path), repeat_playback=False)
         pipeline = rs.pipeline()
-        profile = _started(self.name, lambda: pipeline.start(config), wanted)
-        profile.get_device().as_playback().set_real_time(False)
-        return pipeline, profile
+
+        def start() -> Any:
+            # Before the start: a frame that is not fetched in time would be skipped.
+            device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
+            device.as_playback().set_real_time(False)
+            return pipeline.start(config)
+
+        return pipeline, _started(self.name, start, wanted)
 
     def stop(self, pipeline: Any) -> None:
         _stopped(pipeline)

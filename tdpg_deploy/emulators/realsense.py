@@ -7,6 +7,7 @@ runs librealsense's own pipeline, syncer, alignment and filters on what `frames(
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import threading
 import time
@@ -31,10 +32,11 @@ STOP_LIMIT = 5.0  # s
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Exposure:
     """One pair on its way out. color: (H, W, 3) uint8. counts: (H, W) uint16 of DEPTH_UNITS, 0
-    where unknown. Times in seconds since the UNIX epoch, of this machine."""
+    where unknown; None when it does not come. Times in seconds since the UNIX epoch, by this
+    machine's clock."""
 
     color: npt.NDArray[np.uint8]
-    counts: npt.NDArray[np.uint16]
+    counts: npt.NDArray[np.uint16] | None
     color_at: float
     depth_at: float
 
@@ -65,11 +67,17 @@ def holes(share: float) -> Fault:
     """The left `share` of the picture has no depth."""
 
     def blind(exposure: Exposure) -> Exposure:
+        assert exposure.counts is not None
         counts = exposure.counts.copy()
         counts[:, : round(share * counts.shape[1])] = 0
         return replace(exposure, counts=counts)
 
     return blind
+
+
+def depth_lost(exposure: Exposure) -> Exposure:
+    """Colour comes alone."""
+    return replace(exposure, counts=None)
 
 
 def first_exposures(count: int, faulty: Fault) -> Fault:
@@ -111,6 +119,7 @@ class EmulatedD435:
         self._running = threading.Event()
         self._feeder: threading.Thread | None = None
         self.fault: Fault = healthy
+        self.domain = "global_time"  # whose clock stamps the frames: rs.timestamp_domain
         self.resets = 0
 
     @property
@@ -129,7 +138,7 @@ class EmulatedD435:
             intrinsics=seen, X_color_depth=Transform.identity()
         )
         self._device = SoftwareD435(rs, self._serial, seen, depth_camera, wanted.fps)
-        pipeline = rs.pipeline(rs.context())
+        self._pipeline = pipeline = rs.pipeline(rs.context())
         pipeline.set_device(self._device.device)
         config = rs.config()
         config.enable_stream(rs.stream.depth, rs.format.z16, wanted.fps)
@@ -145,12 +154,17 @@ class EmulatedD435:
         if self._feeder is not None:
             self._feeder.join(STOP_LIMIT)
             self._feeder = None
-        pipeline.stop()
+        with contextlib.suppress(RuntimeError):  # unplugged
+            pipeline.stop()
 
     def reset(self) -> None:
         self.resets += 1
         if self._heals_on_reset:
             self.fault = healthy
+
+    def unplug(self) -> None:
+        """The pipeline breaks, as when the cable is pulled."""
+        self._pipeline.stop()
 
     def _feed(self, period: float) -> None:
         due = time.monotonic()
@@ -158,7 +172,7 @@ class EmulatedD435:
             exposure = self.fault(self._expose())
             if exposure is not None:
                 self.delivered += 1
-                self._device.deliver(exposure, self.delivered)
+                self._device.deliver(exposure, self.delivered, self.domain)
             due = max(due + period, time.monotonic())  # a late source loses frames, not time
             time.sleep(max(0.0, due - time.monotonic()))
 
@@ -203,10 +217,12 @@ class SoftwareD435:
         self._depth_profile.register_extrinsics_to(self._color_profile, extrinsics)
         self.device.create_matcher(rs.matchers.default)
 
-    def deliver(self, exposure: Exposure, number: int) -> None:
-        depth = self._frame(self._depth_profile, exposure.counts, exposure.depth_at, number)
-        depth.depth_units = DEPTH_UNITS
-        self._depth_sensor.on_video_frame(depth)
+    def deliver(self, exposure: Exposure, number: int, domain: str = "global_time") -> None:
+        self._domain = getattr(self._rs.timestamp_domain, domain)
+        if exposure.counts is not None:
+            depth = self._frame(self._depth_profile, exposure.counts, exposure.depth_at, number)
+            depth.depth_units = DEPTH_UNITS
+            self._depth_sensor.on_video_frame(depth)
         color = self._frame(self._color_profile, exposure.color, exposure.color_at, number)
         self._color_sensor.on_video_frame(color)
 
@@ -219,7 +235,7 @@ class SoftwareD435:
         frame.bpp = pixels[0, 0].nbytes
         frame.stride = frame.bpp * pixels.shape[1]
         frame.timestamp = at * 1e3
-        frame.domain = self._rs.timestamp_domain.global_time
+        frame.domain = self._domain
         frame.frame_number = number
         frame.profile = video
         return frame

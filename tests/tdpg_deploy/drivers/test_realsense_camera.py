@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from tdpg_deploy.emulators.realsense import (
     stalled,
     torn,
 )
-from tdpg_deploy.errors import DeviceUnreachable
+from tdpg_deploy.errors import CameraError, DeviceUnreachable
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics, RgbdFrame
 
@@ -172,6 +173,25 @@ def test_a_short_fault_is_waited_out(scene: Scene) -> None:
         with emulated(scene) as (camera, source):
             source.fault = first_exposures(3, fault)
             assert camera.capture(deadline=5.0).sequence == 1
+
+
+def test_half_a_pair_is_told(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    half = SimpleNamespace(get_depth_frame=lambda: None, get_color_frame=object)
+    with emulated(scene) as (camera, _):
+        monkeypatch.setattr(camera, "_wait", lambda expired: half)
+        with pytest.raises(CameraError, match="only one of depth and colour arrives"):
+            camera.capture(deadline=0.0)
+
+
+def test_frames_that_do_not_say_when_they_were_exposed(scene: Scene) -> None:
+    # On kernels without metadata the stamp is that of the arrival: the latency is assumed.
+    with emulated(scene) as (camera, source):
+        source.domain = "system_time"
+        scene.color = np.full_like(scene.color, 5)
+        called = time.time()
+        frame = camera.capture()
+        assert (frame.color == 5).all()
+        assert called <= frame.captured_at
 
 
 def test_a_camera_that_wakes_up_on_reset_is_reset(
