@@ -22,11 +22,13 @@ SCALE = 2  # screen pixels a heightmap pixel
 FINGERS = 0.085  # m, the open hand: 2F-85 manual, stroke
 WHITE = (255, 255, 255)
 BLACK = (0, 0, 0)
+GOAL = (0, 230, 230)
 _SUBPIXEL = 4  # bits; OpenCV draws with fixed-point coordinates
 
 
-def enlarge(rgb: Picture, scale: int = SCALE) -> Picture:
-    return rgb.repeat(scale, axis=0).repeat(scale, axis=1)
+def enlarge(picture: Picture, scale: int = SCALE) -> Picture:
+    """Each pixel becomes scale x scale of the same value."""
+    return picture.repeat(scale, axis=0).repeat(scale, axis=1)
 
 
 def q_maps(heightmap: Heightmap, decision: Decision) -> dict[str, Picture]:
@@ -41,6 +43,8 @@ def q_maps(heightmap: Heightmap, decision: Decision) -> dict[str, Picture]:
     pictures = {}
     for topic, values in best.items():
         picture = enlarge(_colored(values, low, high, heightmap.color))
+        if heightmap.goal is not None:
+            draw_goal(picture, heightmap.goal)
         if topic == chosen:
             draw_action(picture, decision.primitive, heightmap.workspace)
         pictures[topic] = picture
@@ -56,6 +60,14 @@ def _colored(values: npt.NDArray[np.float32], low: float, high: float, under: Pi
     grey = np.repeat(under.mean(axis=-1, keepdims=True), 3, axis=-1)
     weight = np.where(allowed, 0.45 + 0.45 * level, 0.0)[..., None]
     return np.asarray(weight * heat + (1 - weight) * 0.55 * grey, np.uint8)
+
+
+def draw_goal(picture: Picture, goal: npt.NDArray[np.bool_]) -> None:
+    """Draw the outline of the goal's pixels, (224, 224) bool, into (n, n, 3) RGB."""
+    scale = len(picture) // len(goal)
+    mask = enlarge(goal.astype(np.uint8), scale)
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, outlines, -1, GOAL, 2)
 
 
 def draw_action(picture: Picture, primitive: Primitive, workspace: Workspace) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from policies.primitives import Push
 from tdpg_deploy.episode_log.entries import Intent, Step
-from tdpg_deploy.episode_log.pictures import draw_action, enlarge
+from tdpg_deploy.episode_log.pictures import draw_action, draw_goal, enlarge
 from tdpg_deploy.episode_log.reader import Episode, read_episode
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import LogError
@@ -106,7 +106,8 @@ def _header(
 def _figures(result: EpisodeResult) -> str:
     parts = [
         f"ended: {result.reason.value}",
-        f"{result.actions} actions in {result.seconds:.0f} s",
+        f"actions {result.actions}",
+        f"time {result.seconds:.0f} s",
         f"grasps {result.grasp_successes}/{result.grasps}",
         f"pushes {result.push_successes}/{result.pushes}",
         f"delivered {result.delivered}",
@@ -180,6 +181,8 @@ def _seen(step: Step) -> Picture:
         return np.full((THUMBNAIL, THUMBNAIL, 3), EDGE, np.uint8)
     heightmap = step.look.heightmap
     picture = enlarge(heightmap.color)
+    if heightmap.goal is not None:
+        draw_goal(picture, heightmap.goal)
     if step.intent is not None:
         draw_action(picture, step.intent.decision.primitive, heightmap.workspace)
     return picture

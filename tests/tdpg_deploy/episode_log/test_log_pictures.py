@@ -53,6 +53,19 @@ def test_an_action_beyond_the_border_does_not_fail(primitive: Primitive) -> None
     )
 
 
+def test_the_goal_is_outlined_where_it_is() -> None:
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[100:120, 50:90] = True
+    picture = np.zeros((2 * SIZE, 2 * SIZE, 3), np.uint8)
+    pictures.draw_goal(picture, goal)
+    rows, cols = np.nonzero((picture == pictures.GOAL).all(axis=-1))
+    assert abs(rows.min() - 200) <= 2
+    assert abs(rows.max() - 239) <= 2
+    assert abs(cols.min() - 100) <= 2
+    assert abs(cols.max() - 179) <= 2
+    assert not picture[210:230, 110:170].any()  # the goal itself stays to be seen
+
+
 def test_q_maps_are_bright_where_values_are_high_and_grey_where_nothing_is_allowed() -> None:
     synthetic = Synthetic()
     blocks = synthetic.blocks(1)
