@@ -39,7 +39,9 @@ MAY_IMPORT: dict[str, list[str] | None] = {
         *FOUNDATION, *VALUES, *STEP, "tdpg_deploy.kinematics", "tdpg_deploy.footprint",
     ],
     "tdpg_deploy.safety": [*FOUNDATION, *STEP, "tdpg_deploy.kinematics"],
-    "tdpg_deploy.sim": [*FOUNDATION, "tdpg_deploy.sim", "tdpg_deploy.kinematics"],
+    "tdpg_deploy.sim": [
+        *FOUNDATION, "policies.heightmap", "tdpg_deploy.sim", "tdpg_deploy.kinematics",
+    ],
     "tdpg_deploy.drivers": [*FOUNDATION, "tdpg_deploy.drivers", "tdpg_deploy.kinematics"],
     "tdpg_deploy.emulators": [
         *FOUNDATION, "tdpg_deploy.emulators", "tdpg_deploy.sim", "tdpg_deploy.drivers",

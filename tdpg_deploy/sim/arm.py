@@ -33,7 +33,7 @@ class SimArm:
         """Nothing to open: the world is there."""
 
     def close(self) -> None:
-        self._robot.hold()
+        """Nothing to release: motions block, so the arm stands still."""
 
     def state(self) -> ArmState:
         joints, speeds = self._robot.joints()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from policies.heightmap import Workspace
 from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Transform
-from tdpg_deploy.sim.bodies import SHAPES
+from tdpg_deploy.sim.bodies import SHAPES, Shape, box
 from tdpg_deploy.sim.scene_file import format_scene, load_scene, parse_scene, save_scene
 from tdpg_deploy.sim.scenes import PALETTE, Scene, SceneObject, random_scene
 
@@ -123,6 +123,24 @@ def test_an_object_outside_of_the_workspace_is_refused(
         load_scene(file, WORKSPACE)
     assert message in str(error.value)
     assert str(file) in str(error.value)
+
+
+def test_shapes_of_ones_own(tmp_path: Path) -> None:
+    hammer = Shape.from_hulls(
+        "hammer",
+        [box(0.02, 0.1, 0.02), box(0.08, 0.02, 0.02, center=(0, 0.06, 0))],
+    )
+    item = SceneObject(
+        shape=hammer,
+        X_base_object=Transform.from_quaternion((0.5, 0, -0.1), (0, 0, 0, 1)),
+        rgb=(9, 9, 9),
+    )
+    save_scene(Scene(objects=(item,)), tmp_path / "hammer.toml")
+    with pytest.raises(SceneError, match='object\\[0\\].shape = "hammer" is not one of'):
+        load_scene(tmp_path / "hammer.toml", WORKSPACE)
+    shapes = {**SHAPES, "hammer": hammer}
+    (loaded,) = load_scene(tmp_path / "hammer.toml", WORKSPACE, shapes).objects
+    assert loaded.shape is hammer
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
