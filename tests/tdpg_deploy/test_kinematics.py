@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from ur_analytic_ik import ur5
 
@@ -48,6 +48,7 @@ def test_inverse_finds_as_many_branches_as_the_reference_and_all_lead_back() -> 
 
 @given(joints)
 def test_some_branch_is_where_the_arm_was(q: Array) -> None:
+    assume(abs(np.sin(q[4])) > 1e-3)  # else wrist 3 is free, and 0 may be out of reach
     X_base_tool = forward(q, X_FLANGE_TOOL)
     found = nearest(inverse(X_base_tool, X_FLANGE_TOOL), q, TWO_TURNS)
     assert found is not None
