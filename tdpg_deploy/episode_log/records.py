@@ -89,7 +89,7 @@ class _Broken(Exception):
     """The bytes contradict themselves, or are missing."""
 
 
-_UNREADABLE = (_Broken, McapError, struct.error, ValueError, zstandard.ZstdError)
+_UNREADABLE = (_Broken, McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
 
 
 def _read_frame(stream: IO[bytes]) -> tuple[int, bytes, bytes]:

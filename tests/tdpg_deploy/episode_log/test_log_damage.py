@@ -295,6 +295,13 @@ def test_a_chunk_that_unpacks_without_end(claimed: int, knows_its_size: bool, re
         list(read_records(framed(Opcode.CHUNK, body)))
 
 
+@pytest.mark.parametrize("length", [2**40, 2**63, 2**64 - 1])
+def test_a_chunk_whose_data_have_no_end(length: int) -> None:
+    body = struct.pack("<QQQI", 0, 0, 100, 0) + struct.pack("<I", 4) + b"zstd"
+    with pytest.raises(LogError, match="damaged at byte 8"):
+        list(read_records(framed(Opcode.CHUNK, body + struct.pack("<Q", length) + b"data")))
+
+
 def test_a_message_that_is_too_short() -> None:
     with pytest.raises(LogError, match="a message of 5 bytes"):
         list(read_records(framed(Opcode.MESSAGE, b"12345")))
