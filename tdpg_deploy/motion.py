@@ -24,7 +24,7 @@ OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
 PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
 FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
 GRASP_DEPTH = 0.04  # m below the surface that is seen (VPG, robot.py)
-MAX_UNKNOWN = 0.1  # share of a footprint: stray lost pixels are noise, a shadow is not
+MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_PUSH = 0.02  # m: less moves nothing
 LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough close to the base
 

@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from hal_contract import ArmContract, ArmRig, GripperContract, GripperRig
+from hal_contract import (
+    ArmContract,
+    ArmRig,
+    CameraContract,
+    CameraRig,
+    GripperContract,
+    GripperRig,
+)
 
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.geometry import Transform, top_down
 from tdpg_deploy.sim.arm import SimArm
 from tdpg_deploy.sim.bodies import SHAPES
+from tdpg_deploy.sim.camera import SimCamera
 from tdpg_deploy.sim.gripper import SimGripper
 from tdpg_deploy.sim.scenes import Scene, SceneObject
 from tdpg_deploy.sim.world import World
@@ -64,3 +72,9 @@ class TestSimGripper(GripperContract):
             return 0.05
 
         return GripperRig(gripper=SimGripper(world), clock=world.clock, hold=hold)
+
+
+class TestSimCamera(CameraContract):
+    @pytest.fixture
+    def rig(self, world: World) -> CameraRig:
+        return CameraRig(camera=SimCamera(world, world.config), clock=world.clock)
