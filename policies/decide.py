@@ -18,7 +18,7 @@ from policies.primitives import PUSH_LENGTH, Grasp, Primitive, Push
 C = 0.6  # Critic II's threshold (paper, section III-D)
 CONSIDERED = 10  # grasps that are fed into Critic II (paper, section III-B)
 
-RISE = 0.005  # m; what stands higher above the table is an object: several sigma of a D435
+RISE = 0.010  # m; what stands higher above the table is an object: four sigma of a D435 at 0.8 m
 NEAR = 0.010  # m; actions closer than this ...
 NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
 PUSH_HALF_WIDTH = 0.010  # m; about half of the closed fingers

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from policies.heightmap import Heightmap
 from policies.policy import Decision
-from tdpg_deploy.hal import ArmState, GripperState, RgbdFrame
+from tdpg_deploy.hal import GripperState, OnArmState, RgbdFrame
 from tdpg_deploy.outcome import EndReason, Outcome
 from tdpg_deploy.plan import Plan
 
@@ -56,8 +56,9 @@ class EpisodeRecorder(Protocol):
     def intend(self, decision: Decision, plan: Plan, *, stamp: float) -> None:
         """Before anything moves; what was said up to here must survive a crash."""
 
-    def arm_state(self, state: ArmState) -> None:
-        """Measured while moving, 20 Hz or more."""
+    @property
+    def arm_state(self) -> OnArmState | None:
+        """Told what is measured while moving, 20 Hz or more. None saves the measuring."""
 
     def gripper_state(self, state: GripperState) -> None:
         """Measured after each move of the fingers, and while holding."""
@@ -81,8 +82,7 @@ class NullRecorder:
     def intend(self, decision: Decision, plan: Plan, *, stamp: float) -> None:
         pass
 
-    def arm_state(self, state: ArmState) -> None:
-        pass
+    arm_state = None
 
     def gripper_state(self, state: GripperState) -> None:
         pass

@@ -50,6 +50,7 @@ class Learning(_Section):
     to zero within a few hundred steps of Adam; the code that the paper derives from has 2e-5."""
 
     learning_rate: float = Field(1e-4, gt=0)
+    last_learning_rate: float = Field(1e-4, gt=0, description="reached along a half cosine")
     betas: tuple[float, float] = (0.9, 0.99)
     weight_decay: float = Field(2e-5, ge=0)
     discount: float = Field(0.5, ge=0, lt=1)

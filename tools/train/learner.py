@@ -21,7 +21,7 @@ class Learner:
     """Network and optimiser. Randomness comes from the generator that is passed in."""
 
     def __init__(self, network: LightNet, learning: Learning) -> None:
-        self.network = network.to(memory_format=torch.channels_last)
+        self.network = network
         self._learning = learning
         self._optimizer = torch.optim.Adam(
             network.parameters(),
@@ -76,7 +76,7 @@ class Learner:
         critic_two = (doubt * tried).sum() / tried.sum().clamp(min=1)
 
         self._optimizer.zero_grad(set_to_none=True)
-        (critic_one + critic_two).backward()
+        torch.autograd.backward(critic_one + critic_two)
         self._optimizer.step()
         error = (q - target).detach()
         replay.reprioritize(picks, error.numpy())

@@ -22,6 +22,7 @@ from tdpg_deploy.episode import run_episode
 from tdpg_deploy.episode_record import NullRecorder
 from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.outcome import Outcome, Verdict
+from tdpg_deploy.perception import workspace_of
 from tdpg_deploy.plan import Plan
 from tdpg_deploy.sim.scenes import random_scene
 from tools.train.config import Randomization
@@ -64,7 +65,8 @@ def play(task: RolloutTask) -> Experience:
     while len(note.transitions) < task.actions:
         config = randomized(task.cell, task.randomization, rng)
         config = _with_budget(config, task.actions - len(note.transitions))
-        scene = random_scene(int(rng.integers(task.objects[0], task.objects[1] + 1)), config, rng)
+        count = int(rng.integers(task.objects[0], task.objects[1] + 1))
+        scene = random_scene(count, workspace_of(config), rng)
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
             run_episode(cell, policy, rng=rng, log=note)
     return note.experience()

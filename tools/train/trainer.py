@@ -7,6 +7,7 @@ state saved after the round before, so a run that was killed goes on as if it ha
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -27,7 +28,7 @@ from tools.train.replay import Replay
 from tools.train.rollout import Experience, RolloutTask, play
 
 STATE = "state.pt"
-WEIGHTS = "policy.pt"
+WEIGHTS = "policy.safetensors"
 CURVE = "curve.jsonl"
 
 
@@ -162,6 +163,7 @@ class _Run:
         updates = int(gained * learning.updates_per_action)
         if self.replay.size < learning.warmup:
             updates = 0
+        self._learner.set_learning_rate(self._learning_rate())
         losses = [
             self._learner.update(self.replay, rng, importance=importance) for _ in range(updates)
         ]
@@ -181,6 +183,13 @@ class _Run:
         )
         self._round += 1
         return progress
+
+    def _learning_rate(self) -> float:
+        first, last = (
+            self._config.learning.learning_rate,
+            self._config.learning.last_learning_rate,
+        )
+        return last + (first - last) * (1 + math.cos(math.pi * self._done)) / 2
 
     def save(self) -> None:
         """All at once: a kill leaves the state of this round or of the one before."""

@@ -1,0 +1,63 @@
+"""tdpg-doctor: examine every device of a cell file, without moving anything."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+DEVICES = ("arm", "gripper", "camera")
+EXIT_CODES = """
+exit codes:
+  0  nothing is bad
+  1  something is bad; how to mend it is said
+  2  bad input: arguments, cell file
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(
+        prog="tdpg-doctor",
+        description=__doc__,
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock cell)")
+    p.add_argument(
+        "--device", choices=DEVICES, action="append", help="only this one; may be repeated"
+    )
+    p.add_argument("--json", action="store_true", help="findings as one JSON document")
+    return p
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    args = parser().parse_args(argv)
+
+    from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+    from tdpg_deploy.doctor.examination import examinations, examine
+    from tdpg_deploy.doctor.finding import Finding, as_document, as_text, is_healthy, summary
+    from tdpg_deploy.errors import ConfigError
+
+    try:
+        config = load_cell(args.config or DEFAULT_CELL)
+    except ConfigError as error:
+        sys.stderr.write(f"tdpg-doctor: {error}\n")
+        return 2
+    wanted = args.device or DEVICES
+    findings: list[Finding] = []
+    for finding in examine({d: e for d, e in examinations(config).items() if d in wanted}):
+        findings.append(finding)
+        if not args.json:  # as it goes: a device may take seconds
+            sys.stdout.write(as_text(finding) + "\n")
+            sys.stdout.flush()
+    if args.json:
+        sys.stdout.write(json.dumps(as_document(config.name, findings), indent=2) + "\n")
+    else:
+        sys.stdout.write(summary(findings) + "\n")
+    return 0 if is_healthy(findings) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,144 @@
+"""What tdpg-run does: episodes on one cell, each with its log and its picture."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from policies.errors import PolicyError
+from policies.shipped import NamedPolicy, open_policy
+from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.cli.live import Live
+from tdpg_deploy.episode_log.summary import write_summary
+from tdpg_deploy.episode_record import EpisodeResult
+from tdpg_deploy.errors import ConfigError, DeviceError, TdpgError
+from tdpg_deploy.outcome import EndReason
+from tdpg_deploy.perception import workspace_of
+from tdpg_deploy.session import log_episode
+from tdpg_deploy.sim.scene_file import load_scene
+from tdpg_deploy.sim.scenes import Scene, random_scene
+
+DONE, SHORT, BAD_INPUT, DEVICE_FAILED, STOPPED = 0, 1, 2, 3, 130
+CODES = {
+    EndReason.CLEARED: DONE,
+    EndReason.GOAL_REACHED: DONE,
+    EndReason.DEVICE_ERROR: DEVICE_FAILED,
+    EndReason.OPERATOR_STOP: STOPPED,
+}  # every other end falls short
+REAL_SPEED = 0.25  # share of the cell's limits, until somebody asks for more
+
+
+def run_session(args: argparse.Namespace) -> int:
+    """Run what the command line asks for. Returns the exit code, the worst of all episodes."""
+    console = Console(highlight=False)
+    try:
+        config = load_cell(args.config or DEFAULT_CELL)
+        config = slowed(config, args.speed or (REAL_SPEED if args.real else 1.0))
+        policy = open_policy(args.policy)
+        if args.real and not args.unattended:
+            ask_consent(console, config, policy)
+        code = DONE
+        for number in range(args.episodes):
+            code = max(code, _run_one(args, console, config, policy, args.seed + number))
+            if code in (DEVICE_FAILED, STOPPED):
+                break
+    except DeviceError as error:
+        console.print(str(error), style="red", markup=False)
+        return DEVICE_FAILED
+    except (TdpgError, PolicyError) as error:
+        console.print(str(error), style="red", markup=False)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        console.print("stopped")
+        return STOPPED
+    return code
+
+
+def _run_one(
+    args: argparse.Namespace, console: Console, config: CellConfig, policy: NamedPolicy, seed: int
+) -> int:
+    scene = None if args.real else choose_scene(args, config, np.random.default_rng(seed))
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    path = args.out / f"{stamp}-{config.name}-seed{seed}.mcap"
+    objects = None if scene is None else len(scene.objects)
+    with Live(console, objects=objects) as live:
+        result = log_episode(
+            config,
+            policy,
+            path,
+            seed=seed,
+            real=args.real,
+            scene=scene,
+            goal=args.goal,
+            watch=live.before,
+            confirm=live.confirm if args.step else None,
+        )
+    picture = path.with_suffix(".png")
+    write_summary(path, picture)
+    _report(console, result, path, picture)
+    return CODES.get(result.reason, SHORT)
+
+
+def choose_scene(args: argparse.Namespace, config: CellConfig, rng: np.random.Generator) -> Scene:
+    """From the file, or random; with a goal where one is asked for. Raises SceneError."""
+    workspace = workspace_of(config)
+    if args.scene is None:
+        scene = random_scene(args.objects, workspace, rng)
+        return with_goal(scene, int(rng.integers(args.objects))) if args.goal else scene
+    scene = load_scene(args.scene, workspace)
+    if args.goal and not any(item.goal for item in scene.objects):
+        raise ConfigError(f"--goal: no object of {args.scene} is marked goal = true: mark one")
+    return scene
+
+
+def with_goal(scene: Scene, index: int) -> Scene:
+    """The scene with this object, and no other, as the one to fetch."""
+    objects = (replace(item, goal=i == index) for i, item in enumerate(scene.objects))
+    return Scene(objects=tuple(objects))
+
+
+def slowed(config: CellConfig, share: float) -> CellConfig:
+    """The cell with its limits on speed and acceleration scaled."""
+    limits = config.limits
+    names = ("joint_speed", "joint_acceleration", "travel_speed", "contact_speed", "acceleration")
+    scaled = {name: getattr(limits, name) * share for name in names}
+    return config.model_copy(update={"limits": limits.model_copy(update=scaled)})
+
+
+def ask_consent(console: Console, config: CellConfig, policy: NamedPolicy) -> None:
+    """Before the real arm moves for the first time. Raises ConfigError without a yes."""
+    limits = config.limits
+    console.print(
+        f"The UR5 at {config.arm.host} is going to move: home, then policy {policy.name}.\n"
+        f"At most {limits.travel_speed:.2f} m/s in free space, {limits.contact_speed:.2f} m/s near "
+        f"objects; it stops above {limits.descend_force:.0f} N going down and "
+        f"{limits.push_force:.0f} N pushing.\n"
+        "Keep clear, and a hand at the emergency stop. Ctrl-C stops the arm."
+    )
+    if not sys.stdin.isatty():
+        raise ConfigError(
+            "--real asks before it moves, and nobody can answer here: use --unattended to say "
+            "that nobody stands by the arm"
+        )
+    if console.input("Type yes to go on: ").strip().lower() != "yes":
+        raise ConfigError("nothing was moved: the answer was not yes")
+
+
+def _report(console: Console, result: EpisodeResult, path: Path, picture: Path) -> None:
+    share = result.grasp_successes / result.grasps if result.grasps else float("nan")
+    console.print(
+        f"[bold]{result.reason.value}[/]: {result.grasp_successes} of {result.grasps} grasps "
+        f"({share:.0%}), {result.pushes} pushes, {result.refused} refused, "
+        f"{result.seconds:.0f} s of the robot's time"
+    )
+    if result.error:
+        console.print(result.error, style="red", markup=False)
+    if result.truth:
+        console.print("  ".join(f"{key}: {value}" for key, value in result.truth.items()))
+    console.print(f"log      {path}\npicture  {picture}", markup=False)

@@ -1,0 +1,53 @@
+"""tdpg-eval: how good a policy is, by the paper's metrics, from the logs of seeded episodes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(
+        prog="tdpg-eval",
+        description=__doc__,
+        epilog="Policies meet the same tables: pairs of runs differ in nothing but the policy. "
+        "The same command goes on with an evaluation that was interrupted.",
+    )
+    p.add_argument(
+        "--policy",
+        action="append",
+        metavar="FILE",
+        help='a checkpoint, or "random"; may be given more than once (default: the shipped one)',
+    )
+    p.add_argument("--objects", type=int, nargs="+", default=[], metavar="N", help="random tables")
+    p.add_argument("--scene", type=Path, nargs="+", default=[], metavar="FILE", help="scene files")
+    p.add_argument("--episodes", type=int, default=30, metavar="N", help="of each table")
+    p.add_argument("--seed", type=int, default=10_000, metavar="N", help="of the first episode")
+    p.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock cell)")
+    p.add_argument("--workers", type=int, default=2, metavar="N", help="processes")
+    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="for logs and figures")
+    return p
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    args = parser().parse_args(argv)
+
+    from rich.console import Console
+
+    from policies.errors import PolicyError
+    from tdpg_deploy.errors import TdpgError
+    from tools.evaluate.report import evaluate_policies
+
+    console = Console()
+    try:
+        evaluate_policies(args, console)
+    except (TdpgError, PolicyError) as error:
+        console.print(str(error), style="red", markup=False)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
