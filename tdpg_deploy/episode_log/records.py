@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from typing import IO, Any
 
 import zstandard
@@ -21,6 +21,7 @@ from mcap.records import (
     Attachment,
     Channel,
     Chunk,
+    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -35,7 +36,8 @@ from tdpg_deploy.errors import LogError
 
 LIMIT = 64 << 20  # bytes; the largest record that we write is a chunk of about 4 MB
 _HEAD = struct.Struct("<BQ")  # opcode, length
-_MESSAGE_HEAD = 22  # bytes before a message's data
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, starts of summary and offsets, checksum
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
 _PARSERS: dict[int, Any] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -49,14 +51,18 @@ _PARSERS: dict[int, Any] = {
 
 
 def read_records(
-    stream: IO[bytes], *, on_damage: Callable[[str], None] | None = None
+    stream: IO[bytes],
+    *,
+    on_damage: Callable[[str], None] | None = None,
+    skip: Set[int] = frozenset(),
 ) -> Iterator[McapRecord]:
     """Header, schemas, channels, messages, attachments, metadata, data end and footer, in file
     order; chunks are unpacked.
 
     Raises LogError where the stream is no MCAP, is cut off or altered; what was yielded before is
     sound. With `on_damage`, a record whose contents are damaged is reported there and skipped,
-    and only the loss of the records' boundaries raises.
+    and only the loss of the records' boundaries raises. `skip`: offsets of records to leave
+    unread; the checksum of the data section is then not compared.
     """
     if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise LogError("not an MCAP file: it does not start as one")
@@ -65,13 +71,16 @@ def read_records(
     opcode = 0
     while opcode != Opcode.FOOTER:
         try:
-            opcode, head, body = _read_frame(stream)
+            opcode, head, body = _read_frame(stream, unread=at in skip)
         except _Broken as error:
             raise LogError(f"damaged at byte {at}: {error}") from error
+        if at in skip:
+            at += len(head) + _HEAD.unpack(head)[1]
+            continue
         try:
             yield from _contents(opcode, body)
             if opcode == Opcode.DATA_END:
-                _compare(_checksum(body), checksum, "data section")
+                _compare(0 if skip else _checksum(body), checksum, "data section")
             elif opcode == Opcode.FOOTER:
                 _compare(_checksum(body), zlib.crc32(head + body[:-4], checksum), "summary")
         except _UNREADABLE as error:
@@ -79,7 +88,9 @@ def read_records(
             if on_damage is None:
                 raise LogError(problem) from error
             on_damage(problem)
-        checksum = 0 if opcode == Opcode.DATA_END else zlib.crc32(head + body, checksum)
+        checksum = zlib.crc32(body, zlib.crc32(head, checksum))
+        if opcode == Opcode.DATA_END:
+            checksum = 0
         at += len(head) + len(body)
     if stream.read(len(MCAP0_MAGIC) + 1) != MCAP0_MAGIC:
         raise LogError("the file does not end as an MCAP file does: cut off, or something follows")
@@ -92,14 +103,45 @@ class _Broken(Exception):
 _UNREADABLE = (_Broken, McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
 
 
-def _read_frame(stream: IO[bytes]) -> tuple[int, bytes, bytes]:
-    """Opcode; the record's head; the record's body."""
+def chunks_of(stream: IO[bytes], topics: Set[str]) -> Set[int]:
+    """Offsets of the chunks that hold nothing but messages on `topics`, as the summary has it;
+    none if there is no sound summary. The stream must be able to seek; its place is lost."""
+    channels: dict[int, str] = {}
+    chunks: list[ChunkIndex] = []
+    try:
+        stream.seek(-_FOOTER.size - len(MCAP0_MAGIC), io.SEEK_END)
+        _, _, summary_start, _, _ = _FOOTER.unpack(stream.read(_FOOTER.size))
+        stream.seek(summary_start)
+        while True:
+            opcode, _, body = _read_frame(stream)
+            content = ReadDataStream(io.BytesIO(body))
+            if opcode == Opcode.CHANNEL:
+                channel = Channel.read(content)
+                channels[channel.id] = channel.topic
+            elif opcode == Opcode.CHUNK_INDEX:
+                chunks.append(ChunkIndex.read(content))
+            elif opcode == Opcode.FOOTER:
+                break
+    except (OSError, *_UNREADABLE):
+        return frozenset()
+    held = {
+        chunk.chunk_start_offset: {channels.get(n, "") for n in chunk.message_index_offsets}
+        for chunk in chunks
+    }
+    return {offset for offset, found in held.items() if found and found <= topics}
+
+
+def _read_frame(stream: IO[bytes], *, unread: bool = False) -> tuple[int, bytes, bytes]:
+    """Opcode; the record's head; the record's body, empty if it is to stay unread."""
     head = stream.read(_HEAD.size)
     if len(head) < _HEAD.size:
         raise _Broken("cut off")
     opcode, length = _HEAD.unpack(head)
     if length > LIMIT:
         raise _Broken(f"a record of {length} bytes; at most {LIMIT} are read")
+    if unread:
+        stream.seek(length, io.SEEK_CUR)
+        return opcode, head, b""
     body = stream.read(length)
     if len(body) < length:
         raise _Broken(f"cut off within a record of {length} bytes, after {len(body)}")
@@ -111,9 +153,10 @@ def _contents(opcode: int, body: bytes) -> Iterator[McapRecord]:
     if opcode == Opcode.ATTACHMENT:
         _compare(_checksum(body), zlib.crc32(body[:-4]), "attachment")
     if opcode == Opcode.MESSAGE:
-        if len(body) < _MESSAGE_HEAD:
+        if len(body) < _MESSAGE.size:
             raise _Broken(f"a message of {len(body)} bytes")
-        yield Message.read(ReadDataStream(io.BytesIO(body)), len(body))
+        channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
+        yield Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
     elif opcode in _PARSERS:
         record = _PARSERS[opcode].read(ReadDataStream(io.BytesIO(body)))
         if isinstance(record, Chunk):

@@ -24,8 +24,10 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from synthetic_episode import Synthetic, write
 
 from tdpg_deploy.episode_log import about
+from tdpg_deploy.episode_log.channels import IMAGES
+from tdpg_deploy.episode_log.entries import Step
 from tdpg_deploy.episode_log.reader import read_episode
-from tdpg_deploy.episode_log.records import LIMIT, read_records
+from tdpg_deploy.episode_log.records import LIMIT, chunks_of, read_records
 from tdpg_deploy.episode_log.recover import Condition, check, recover
 from tdpg_deploy.errors import LogError
 
@@ -48,6 +50,13 @@ def read_all(path: Path) -> int:
         for _ in read_episode(path).entries():
             count += 1
     return count
+
+
+def read_quickly(path: Path) -> list[Step]:
+    steps: list[Step] = []
+    with contextlib.suppress(LogError):
+        steps.extend(read_episode(path).steps(images=False, states=False))
+    return steps
 
 
 # --- mutations --------------------------------------------------------------------------------
@@ -84,6 +93,7 @@ def test_mutated_files(whole: Path, tmp_path: Path, batch: int) -> None:
         change = mutate if number % 2 else mutate_structure  # chunks of images fill the file
         path.write_bytes(change(data, rng))
         read_all(path)
+        read_quickly(path)
         report = recover(path, saved)
         assert saved.exists() == (report.condition is not Condition.NOTHING)
         if saved.exists():
@@ -222,6 +232,26 @@ def test_a_flipped_bit_in_an_image_is_found_and_only_that_is_lost(
     assert report.messages == check(whole).messages - lost
     assert check(saved).condition is Condition.WHOLE
     assert read_all(saved) == read_all(whole) - 1  # the look that held the image
+
+
+def test_a_hurt_image_does_not_matter_to_whom_reads_none(whole: Path, tmp_path: Path) -> None:
+    data = bytearray(whole.read_bytes())
+    with whole.open("rb") as file:
+        hurt = max(chunks_of(file, IMAGES))
+    data[hurt + 500] ^= 4
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(data)
+    steps = list(read_episode(path).steps(images=False))
+    assert len(steps) == 2
+    assert steps[-1].outcome is not None
+
+
+def test_without_a_summary_all_chunks_are_read(whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[:-1])
+    with path.open("rb") as file:
+        assert chunks_of(file, IMAGES) == frozenset()
+    assert len(read_quickly(path)) == 2
 
 
 def test_a_flipped_bit_in_the_metadata_is_found(whole: Path, tmp_path: Path) -> None:
