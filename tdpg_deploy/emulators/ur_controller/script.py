@@ -82,7 +82,7 @@ class Program:
         """Run every thread to its next wait. Raises ScriptError; the program is dead then."""
         try:
             for thread in self._threads:  # grows while threads start threads
-                if thread.alive:
+                if thread.alive and self.alive:
                     thread.step()
         except Exception as error:
             self.kill()
