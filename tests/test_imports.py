@@ -19,6 +19,7 @@ FOUNDATION = [
     "tdpg_deploy.cell_config",
     "tdpg_deploy.hal",
 ]
+COMPILER = ["tdpg_deploy.compiled"]
 VALUES = ["policies.heightmap", "policies.primitives", "policies.policy", "policies.errors"]
 STEP = ["tdpg_deploy.plan", "tdpg_deploy.outcome"]
 
@@ -33,14 +34,15 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "tdpg_deploy.plan": FOUNDATION + VALUES,
     "tdpg_deploy.outcome": [],
     "tdpg_deploy.kinematics": FOUNDATION,
-    "tdpg_deploy.perception": FOUNDATION + VALUES,
+    "tdpg_deploy.compiled": [],
+    "tdpg_deploy.perception": FOUNDATION + VALUES + COMPILER,
     "tdpg_deploy.footprint": [*FOUNDATION, *VALUES],
     "tdpg_deploy.motion": [
         *FOUNDATION, *VALUES, *STEP, "tdpg_deploy.kinematics", "tdpg_deploy.footprint",
     ],
     "tdpg_deploy.safety": [*FOUNDATION, *STEP, "tdpg_deploy.kinematics"],
     "tdpg_deploy.sim": [
-        *FOUNDATION, "policies.heightmap", "tdpg_deploy.sim", "tdpg_deploy.kinematics",
+        *FOUNDATION, *COMPILER, "policies.heightmap", "tdpg_deploy.sim", "tdpg_deploy.kinematics",
     ],
     "tdpg_deploy.drivers": [*FOUNDATION, "tdpg_deploy.drivers", "tdpg_deploy.kinematics"],
     "tdpg_deploy.emulators": [
@@ -109,12 +111,19 @@ def test_light_modules_stay_light(module: str, absent: list[str]) -> None:
 
 
 def test_real_is_known_in_one_place() -> None:
-    """Only cell.open_cell branches on `real`; the command line only hands it on."""
-    readers = set()
+    """Only open_cell decides by `real`; the command line asks before, others hand it on."""
+    deciding = set()
     for module, path in modules():
         if not module.startswith(("tdpg_deploy", "policies", "calibration")):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Name) and node.id == "real":
-                readers.add(module)
-    assert readers <= {"tdpg_deploy.cell", "tdpg_deploy.cli.run"}
+            if isinstance(node, ast.If | ast.IfExp | ast.While) and "real" in names_in(node.test):
+                deciding.add(module)
+    assert deciding == {"tdpg_deploy.cell", "tdpg_deploy.cli.session"}
+
+
+def names_in(expression: ast.expr) -> set[str]:
+    nodes = list(ast.walk(expression))
+    return {node.id for node in nodes if isinstance(node, ast.Name)} | {
+        node.attr for node in nodes if isinstance(node, ast.Attribute)
+    }
