@@ -15,11 +15,11 @@ from policies.heightmap import PIXEL, Heightmap, Workspace
 from policies.policy import Decision
 from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.channels import Q_GRASP, Q_PUSH
+from tdpg_deploy.motion import OPEN_WIDTH
 
 Picture = npt.NDArray[np.uint8]
 
 SCALE = 2  # screen pixels a heightmap pixel
-FINGERS = 0.085  # m, the open hand: 2F-85 manual, stroke
 WHITE = (255, 255, 255)
 BLACK = (0, 0, 0)
 GOAL = (0, 230, 230)
@@ -80,7 +80,7 @@ def draw_action(picture: Picture, primitive: Primitive, workspace: Workspace) ->
         for color, width in ((BLACK, 5), (WHITE, 2)):
             _arrow(picture, start, end, color, width)
         return
-    ends = [p_base - FINGERS / 2 * direction, p_base + FINGERS / 2 * direction]
+    ends = [p_base - OPEN_WIDTH / 2 * direction, p_base + OPEN_WIDTH / 2 * direction]
     a, b = (_on_screen(end, workspace, picture) for end in ends)
     across = (b - a)[::-1] * [1, -1] * 0.18
     for color, width in ((BLACK, 5), (WHITE, 2)):

@@ -19,12 +19,12 @@ from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.channels import BASE
 from tdpg_deploy.episode_log.messages import timestamp, vector
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.motion import OPEN_WIDTH
 from tdpg_deploy.plan import MoveLinear, Plan
 
 PUSH_COLOR = Color(r=0.95, g=0.45, b=0.10, a=1)
 GRASP_COLOR = Color(r=0.15, g=0.65, b=0.95, a=1)
 PATH_COLOR = Color(r=0.9, g=0.9, b=0.9, a=0.8)
-FINGERS = 0.085  # m, the open hand: 2F-85 manual, stroke
 
 
 def poses(plan: Plan, time: int) -> PosesInFrame:
@@ -58,7 +58,7 @@ def scene(plan: Plan, q: float, time: int) -> SceneUpdate:
     if isinstance(primitive, Push):
         entity.arrows.append(_arrow(p, primitive, color))
     else:
-        half = FINGERS / 2 * _direction(primitive)
+        half = OPEN_WIDTH / 2 * _direction(primitive)
         entity.lines.append(_line([p - half, p + half], color, 0.008))
     return SceneUpdate(entities=[entity])
 

@@ -36,6 +36,7 @@ from tdpg_deploy.episode_log.entries import (
 )
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import LogError
+from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import ArmState, GripperState, RgbdFrame
 from tdpg_deploy.outcome import Outcome
 from tdpg_deploy.plan import Plan
@@ -98,27 +99,13 @@ class EpisodeWriter:
 
     def observe(self, frame: RgbdFrame, heightmap: Heightmap) -> None:
         time = self._time(frame.captured_at)
-        X_base_camera = self._about.cell.X_base_camera
+        look = LookDocument(
+            sequence=frame.sequence, serial=frame.serial, captured_at=frame.captured_at
+        )
         with self._guard():
-            self._protobuf(
-                channels.TRANSFORMS,
-                messages.encode_transform(channels.BASE, channels.CAMERA, X_base_camera, time),
-                time,
-            )
-            self._protobuf(
-                channels.CALIBRATION, messages.encode_calibration(frame.intrinsics, time), time
-            )
-            color = messages.encode_picture(frame.color, time, channels.CAMERA)
-            self._protobuf(channels.COLOR, color, time)
-            self._protobuf(channels.DEPTH, messages.encode_depth(frame.depth, time), time)
-            self._protobuf(channels.HEIGHTMAP, messages.encode_heightmap(heightmap, time), time)
-            seen = messages.encode_picture(pictures.enlarge(heightmap.color), time, "")
-            self._protobuf(channels.HEIGHTMAP_COLOR, seen, time)
-            points = messages.encode_points(heightmap, time)
-            self._protobuf(channels.HEIGHTMAP_POINTS, points, time)
-            look = LookDocument(
-                sequence=frame.sequence, serial=frame.serial, captured_at=frame.captured_at
-            )
+            X_base_camera = self._about.cell.X_base_camera
+            for topic, message in _look(frame, heightmap, X_base_camera, time).items():
+                self._protobuf(topic, message, time)
             self._document(channels.LOOK, look, time)
             self._flush()
         self._heightmap = heightmap
@@ -247,3 +234,21 @@ class EpisodeWriter:
             with contextlib.suppress(OSError):
                 self._file.close()
             raise LogError(self._failure) from error
+
+
+def _look(
+    frame: RgbdFrame, heightmap: Heightmap, X_base_camera: Transform, time: int
+) -> dict[str, Message]:
+    """What a look shows, by topic."""
+    seen = pictures.enlarge(heightmap.color)
+    return {
+        channels.TRANSFORMS: messages.encode_transform(
+            channels.BASE, channels.CAMERA, X_base_camera, time
+        ),
+        channels.CALIBRATION: messages.encode_calibration(frame.intrinsics, time),
+        channels.COLOR: messages.encode_picture(frame.color, time, channels.CAMERA),
+        channels.DEPTH: messages.encode_depth(frame.depth, time),
+        channels.HEIGHTMAP: messages.encode_heightmap(heightmap, time),
+        channels.HEIGHTMAP_COLOR: messages.encode_picture(seen, time, ""),
+        channels.HEIGHTMAP_POINTS: messages.encode_points(heightmap, time),
+    }
