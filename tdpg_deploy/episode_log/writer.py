@@ -163,7 +163,9 @@ class EpisodeWriter:
         time = self._time(stamp)
         with self._guard():
             self._document(channels.RESULT, End(result=result, stamp=stamp), time)
-            self._line(f"end: {result.reason.value}", time, warning=result.error is not None)
+            self._line(f"end: {result.reason.value}", time)
+            if result.error is not None:
+                self._line(result.error, time, warning=True)
             self._flush()
             self._mcap.add_metadata(head.RESULT, documents.flat(result))
             self._flush()
