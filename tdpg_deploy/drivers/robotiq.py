@@ -68,6 +68,11 @@ class RobotiqGripper:
         self._scale = scale or CountScale()
 
     @property
+    def name(self) -> str:
+        """Of the wire: where the gripper is looked for."""
+        return self._wire.name
+
+    @property
     def max_width(self) -> float:
         return self._scale.max_width
 

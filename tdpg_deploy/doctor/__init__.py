@@ -1,0 +1,1 @@
+"""What tdpg-doctor looks at: each device of a cell file, without moving anything."""

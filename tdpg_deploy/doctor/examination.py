@@ -1,0 +1,56 @@
+"""All devices of a cell, one after the other; one that fails does not hide the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TypeAlias
+
+from tdpg_deploy.cell import MachineClock
+from tdpg_deploy.cell_config import CellConfig
+from tdpg_deploy.doctor.finding import Finding, Verdict
+from tdpg_deploy.errors import DeviceError
+
+Examination: TypeAlias = Callable[[], Iterable[Finding]]
+
+
+def examinations(config: CellConfig) -> dict[str, Examination]:
+    """By device. None of them moves anything."""
+    return {
+        "arm": lambda: _arm(config),
+        "gripper": lambda: _gripper(config),
+        "camera": lambda: _camera(config),
+    }
+
+
+def examine(examinations: Mapping[str, Examination]) -> Iterator[Finding]:
+    """All findings; a device that cannot be examined any further is found bad."""
+    for device, examination in examinations.items():
+        yield from _to_its_end(device, examination)
+
+
+def _to_its_end(device: str, examination: Examination) -> Iterator[Finding]:
+    try:
+        yield from examination()
+    except DeviceError as error:  # its message says what to do, too
+        yield Finding(device=device, check="responds", verdict=Verdict.BAD, measured=str(error))
+
+
+def _arm(config: CellConfig) -> Iterable[Finding]:
+    from tdpg_deploy.doctor.arm import examine_arm
+
+    return examine_arm(config.arm)
+
+
+def _gripper(config: CellConfig) -> Iterable[Finding]:
+    from tdpg_deploy.doctor.gripper import examine_gripper
+    from tdpg_deploy.drivers.robotiq import robotiq_gripper
+
+    gripper = robotiq_gripper(config.gripper, arm_host=config.arm.host, clock=MachineClock())
+    return examine_gripper(gripper, config.gripper)
+
+
+def _camera(config: CellConfig) -> Iterable[Finding]:
+    from tdpg_deploy.doctor.camera import examine_camera
+    from tdpg_deploy.drivers.realsense import RealsenseCamera
+
+    return examine_camera(RealsenseCamera(config.camera, clock=MachineClock()), config)
