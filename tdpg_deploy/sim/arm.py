@@ -14,6 +14,7 @@ from tdpg_deploy.sim.world import World
 TURN_RADIUS = 0.2  # m; a turn of one radian takes as long as a way of this length
 REPORT_EVERY = 6  # steps: 40 Hz
 BLOCKED = 0.005  # m or rad between where a joint is and where it was driven
+PRESSED_STEPS = 2  # in a row; a knock is one step long, and a force sensor's filter hides it
 ARRIVAL_STEPS = 24  # for the motors to make up for what held them on the way
 
 
@@ -102,10 +103,13 @@ class SimArm:
         self._stop = False
         clock, robot = self._world.clock, self._robot
         ends = clock.now() + deadline
+        pressed = 0
         for number, row in enumerate(rows.tolist()):
             robot.drive(row)
             self._world.step()
-            if stop_force is not None and self._pressed(stop_force):
+            if stop_force is not None:
+                pressed = pressed + 1 if self._pressed(stop_force) else 0
+            if pressed == PRESSED_STEPS:
                 self._halt()
                 return MotionResult(end=MotionEnd.CONTACT, state=self.state())
             if on_state is not None and number % REPORT_EVERY == 0:

@@ -76,9 +76,9 @@ class SimGripper:
             self._world.step()
             lately.append(robot.width())
             if clock.now() > ends:
-                robot.drive_fingers(self._goal, force)
+                robot.hold_fingers(self._goal, force)
                 raise DeviceTimeout(f"the fingers still move after {deadline:g} s: allow more")
-        robot.drive_fingers(self._goal, force)  # and hold on
+        robot.hold_fingers(self._goal, force)  # and hold on
         return self.state()
 
     def _ended(self, lately: deque[float]) -> bool:

@@ -87,13 +87,25 @@ class Robot:
 
     def drive_fingers(self, width: float, force: float) -> None:
         """Go for this width (m) with at most this force (N) on each pad; call every step while
-        the fingers move, for the arc follows the width that they have reached."""
+        the fingers move, for the arc follows the width that they have reached.
+
+        One motor bends the linkage: tips that come down on something stall, they do not lift
+        the arm.
+        """
+        self._drive_fingers(width, force, tip_retreat(self.width()), 2 * force)
+
+    def hold_fingers(self, width: float, force: float) -> None:
+        """Keep going for this width, the linkage locked as it stands."""
+        arc = pybullet.getJointState(self.body, self._arc, physicsClientId=self._client)[0]
+        self._drive_fingers(width, force, arc, self._arc_force)
+
+    def _drive_fingers(self, width: float, force: float, arc: float, arc_force: float) -> None:
         pybullet.setJointMotorControlArray(
             self.body,
             [self._left, self._right, self._arc],
             pybullet.POSITION_CONTROL,
-            targetPositions=[width / 2, width / 2, tip_retreat(self.width())],
-            forces=[force, force, self._arc_force],
+            targetPositions=[width / 2, width / 2, arc],
+            forces=[force, force, arc_force],
             positionGains=[0.5, 0.5, 0.5],
             velocityGains=[1.0, 1.0, 1.0],
             physicsClientId=self._client,
@@ -108,7 +120,7 @@ class Robot:
         for index, position in positions.items():
             pybullet.resetJointState(self.body, index, position, physicsClientId=self._client)
         self.drive(joints.tolist())
-        self.drive_fingers(width, 20.0)
+        self.hold_fingers(width, 20.0)
 
     def visible(self) -> list[VisiblePiece]:
         pieces = []

@@ -136,7 +136,7 @@ def test_shapes_of_ones_own(tmp_path: Path) -> None:
         rgb=(9, 9, 9),
     )
     save_scene(Scene(objects=(item,)), tmp_path / "hammer.toml")
-    with pytest.raises(SceneError, match='object\\[0\\].shape = "hammer" is not one of'):
+    with pytest.raises(SceneError, match=r'object\[0\].shape = "hammer" is not one of'):
         load_scene(tmp_path / "hammer.toml", WORKSPACE)
     shapes = {**SHAPES, "hammer": hammer}
     (loaded,) = load_scene(tmp_path / "hammer.toml", WORKSPACE, shapes).objects
