@@ -63,7 +63,7 @@ def test_it_grasps_what_is_worth_most() -> None:
     assert decision.q == pytest.approx(0.06 * state.HEIGHT_SCALE, rel=0.01)
     assert decision.primitive.z == pytest.approx(-0.15 + 0.06)
     x, y = table_with().workspace.to_base(decision.row, decision.col)
-    assert (decision.primitive.x, decision.primitive.y) == (x, y)
+    assert (decision.primitive.x, decision.primitive.y) == (float(x), float(y))
 
 
 @pytest.mark.parametrize("method", ["grasp-only", "vpg"])
