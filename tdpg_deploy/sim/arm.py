@@ -15,6 +15,7 @@ TURN_RADIUS = 0.2  # m; a turn of one radian takes as long as a way of this leng
 REPORT_EVERY = 6  # steps: 40 Hz
 BLOCKED = 0.005  # m or rad between where a joint is and where it was driven
 PRESSED_STEPS = 2  # in a row; a knock is one step long, and a force sensor's filter hides it
+RELIEF_STEPS = 4
 ARRIVAL_STEPS = 24  # for the motors to make up for what held them on the way
 
 
@@ -110,7 +111,7 @@ class SimArm:
             if stop_force is not None:
                 pressed = pressed + 1 if self._pressed(stop_force) else 0
             if pressed == PRESSED_STEPS:
-                self._halt()
+                self._back_off(rows[max(number - PRESSED_STEPS, 0)])
                 return MotionResult(end=MotionEnd.CONTACT, state=self.state())
             if on_state is not None and number % REPORT_EVERY == 0:
                 on_state(self.state())
@@ -133,6 +134,12 @@ class SimArm:
     def _halt(self) -> None:
         self._robot.hold()
         self._world.step()
+
+    def _back_off(self, before: Array) -> None:
+        """Stand where the force began, a millimetre or two back: pressing on would keep it up."""
+        self._robot.drive(before.tolist())
+        for _ in range(RELIEF_STEPS):
+            self._world.step()
 
     def _arrive(self, goal: Array) -> None:
         for _ in range(ARRIVAL_STEPS):
