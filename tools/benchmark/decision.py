@@ -6,7 +6,6 @@ other at batch 1, in float32, nothing folded.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 
 import numpy as np
@@ -31,7 +30,7 @@ def run() -> list[Measurement]:
     results = []
     for kind, (width, repeats) in NETWORKS.items():
         torch.manual_seed(0)
-        network = build(kind, goal=False, width=width)
+        network = build(kind, goal=False, width=width).eval()
         reference = timed(
             f"{kind}: 16 pictures one by one, float32",
             lambda network=network: one_by_one(network, heightmap),  # type: ignore[misc]
@@ -57,9 +56,8 @@ def run() -> list[Measurement]:
 @torch.inference_mode()
 def one_by_one(network: Network, heightmap: Heightmap) -> list[torch.Tensor]:
     """Both maps of each rotation."""
-    plain = copy.deepcopy(network).eval()
     whole = pictures(encode(heightmap, goal=False)).contiguous()
-    maps = [plain(whole[k : k + 1]) for k in range(ROTATIONS)]
+    maps = [network(whole[k : k + 1]) for k in range(ROTATIONS)]
     return [back_to_map(torch.cat((one.push, one.grasp), 1)) for one in maps]
 
 
