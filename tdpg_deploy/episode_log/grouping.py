@@ -18,6 +18,9 @@ from tdpg_deploy.errors import LogError
 from tdpg_deploy.hal import ArmState, GripperState
 from tdpg_deploy.outcome import Outcome
 
+# Of one step: half an hour at 100 Hz. A small hostile file may unpack to any number.
+MAX_ENTRIES = 200_000
+
 
 @dataclass
 class _Open:
@@ -47,6 +50,10 @@ class _Open:
         return _Open(look=self.next_look)
 
     @property
+    def size(self) -> int:
+        return len(self.refusals) + len(self.arm_states) + len(self.gripper_states)
+
+    @property
     def worth_telling(self) -> bool:
         return self.intent is not None or bool(self.refusals)
 
@@ -56,6 +63,8 @@ def group(entries: Iterable[Entry]) -> Iterator[Step]:
     current = _Open()
     try:
         for entry in entries:
+            if current.size >= MAX_ENTRIES:
+                raise LogError(f"a step of more than {MAX_ENTRIES} states and refusals")
             if isinstance(entry, Look):
                 if current.intent is None:
                     current.look = entry

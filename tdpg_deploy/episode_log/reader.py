@@ -49,13 +49,15 @@ class Episode:
         """Everything, in order. Without `images` (looks, pictures of Q-maps) they stay unread and
         unchecked, which is many times faster; without `states` (of arm and gripper) too."""
         skipped = (_IMAGES if not images else set()) | (_STATES if not states else set())
-        with self.path.open("rb") as file:
-            skip = frozenset() if images else chunks_of(file, channels.IMAGES)
-            file.seek(0)
-            try:
+        try:
+            with self.path.open("rb") as file:
+                skip = frozenset() if images else chunks_of(file, channels.IMAGES)
+                file.seek(0)
                 yield from _entries(read_records(file, skip=skip), skipped)
-            except LogError as error:
-                raise LogError(f"{self.path}: {error}") from error
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read ({error.strerror})") from error
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
 
     def steps(self, *, images: bool = True, states: bool = True) -> Iterator[Step]:
         """One for each planned action, and a last one for refusals that led to none."""

@@ -171,9 +171,8 @@ def _unpack(chunk: Chunk) -> Iterator[McapRecord]:
     content = io.BytesIO(data)
     while content.tell() < len(data):
         opcode, _, body = _read_frame(content)
-        if opcode == Opcode.CHUNK:
-            raise _Broken("a chunk within a chunk")
-        yield from _contents(opcode, body)
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):  # nothing else belongs here
+            yield from _contents(opcode, body)
 
 
 def _decompress(chunk: Chunk) -> bytes:

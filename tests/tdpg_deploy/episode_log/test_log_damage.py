@@ -332,6 +332,16 @@ def test_a_chunk_whose_data_have_no_end(length: int) -> None:
         list(read_records(framed(Opcode.CHUNK, body + struct.pack("<Q", length) + b"data")))
 
 
+@pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA])
+def test_a_chunk_holds_messages_only(opcode: int) -> None:
+    """Anything else could unpack to any size, again and again."""
+    inner = struct.pack("<BQ", opcode, 4) + b"data"
+    head = struct.pack("<QQQI", 0, 0, len(inner), 0) + struct.pack("<I", 0)
+    body = head + struct.pack("<Q", len(inner)) + inner
+    with pytest.raises(LogError, match="cut off"):  # after the chunk, not within it
+        assert list(read_records(framed(Opcode.CHUNK, body))) == []
+
+
 def test_a_message_that_is_too_short() -> None:
     with pytest.raises(LogError, match="a message of 5 bytes"):
         list(read_records(framed(Opcode.MESSAGE, b"12345")))
