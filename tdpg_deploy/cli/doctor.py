@@ -1,11 +1,11 @@
-"""tdpg-doctor: examine every device of a cell file, without moving anything."""
+"""tdpg-doctor: examine every device of a cell file, moving nothing unless asked to."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 DEVICES = ("arm", "gripper", "camera")
@@ -28,6 +28,11 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--device", choices=DEVICES, action="append", help="only this one; may be repeated"
     )
+    p.add_argument(
+        "--move",
+        action="store_true",
+        help="then try small motions, when nothing is bad; asks first",
+    )
     p.add_argument("--json", action="store_true", help="findings as one JSON document")
     return p
 
@@ -36,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(argv)
 
     from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
-    from tdpg_deploy.doctor.examination import examinations, examine
+    from tdpg_deploy.doctor.examination import Examination, examinations, examine, motions
     from tdpg_deploy.doctor.finding import Finding, as_document, as_text, is_healthy, summary
     from tdpg_deploy.errors import ConfigError
 
@@ -47,16 +52,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     wanted = args.device or DEVICES
     findings: list[Finding] = []
-    for finding in examine({d: e for d, e in examinations(config).items() if d in wanted}):
-        findings.append(finding)
-        if not args.json:  # as it goes: a device may take seconds
-            sys.stdout.write(as_text(finding) + "\n")
-            sys.stdout.flush()
+
+    def look(at: Mapping[str, Examination]) -> None:
+        for finding in examine({device: at[device] for device in at if device in wanted}):
+            findings.append(finding)
+            if not args.json:  # as it goes: a device may take seconds
+                print(as_text(finding), flush=True)  # noqa: T201
+
+    look(examinations(config))
+    if args.move and is_healthy(findings) and _agreed():
+        look(motions(config))
     if args.json:
-        sys.stdout.write(json.dumps(as_document(config.name, findings), indent=2) + "\n")
+        print(json.dumps(as_document(config.name, findings), indent=2))  # noqa: T201
     else:
-        sys.stdout.write(summary(findings) + "\n")
+        print(summary(findings))  # noqa: T201
     return 0 if is_healthy(findings) else 1
+
+
+def _agreed() -> bool:
+    """Whether the operator lets the cell move."""
+    from tdpg_deploy.doctor.moves import PLAN
+
+    sys.stderr.write(f"{PLAN}\nMove now? [yes/no] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() == "yes"
 
 
 if __name__ == "__main__":

@@ -14,12 +14,17 @@ Examination: TypeAlias = Callable[[], Iterable[Finding]]
 
 
 def examinations(config: CellConfig) -> dict[str, Examination]:
-    """By device. None of them moves anything."""
+    """By device. None of these moves anything."""
     return {
         "arm": lambda: _arm(config),
         "gripper": lambda: _gripper(config),
         "camera": lambda: _camera(config),
     }
+
+
+def motions(config: CellConfig) -> dict[str, Examination]:
+    """By device. These move it, a little: see doctor.moves.PLAN."""
+    return {"arm": lambda: _move_arm(config), "gripper": lambda: _move_gripper(config)}
 
 
 def examine(examinations: Mapping[str, Examination]) -> Iterator[Finding]:
@@ -47,6 +52,24 @@ def _gripper(config: CellConfig) -> Iterable[Finding]:
 
     gripper = robotiq_gripper(config.gripper, arm_host=config.arm.host, clock=MachineClock())
     return examine_gripper(gripper, config.gripper)
+
+
+def _move_arm(config: CellConfig) -> Iterable[Finding]:
+    from tdpg_deploy.doctor.moves import move_arm
+    from tdpg_deploy.drivers.ur5 import UrArm
+
+    return move_arm(UrArm(config.arm, clock=MachineClock()), config)
+
+
+def _move_gripper(config: CellConfig) -> Iterable[Finding]:
+    from tdpg_deploy.doctor.moves import move_gripper
+    from tdpg_deploy.drivers.robotiq import robotiq_gripper
+
+    section = config.gripper
+    # Asked for more than there is, the fingers stop at their own ends.
+    beyond = section.model_copy(update={"open_counts": 0, "closed_counts": 255})
+    gripper = robotiq_gripper(beyond, arm_host=config.arm.host, clock=MachineClock())
+    return move_gripper(gripper, section)
 
 
 def _camera(config: CellConfig) -> Iterable[Finding]:

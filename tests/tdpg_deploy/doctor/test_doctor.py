@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -26,8 +27,10 @@ from tdpg_deploy.doctor.camera import examine_camera, judge_noise, judge_table
 from tdpg_deploy.doctor.examination import examine
 from tdpg_deploy.doctor.finding import Finding, Verdict, as_document, as_text, judge, summary
 from tdpg_deploy.doctor.gripper import examine_gripper
+from tdpg_deploy.doctor.moves import move_arm, move_gripper
 from tdpg_deploy.doctor.rtde_watch import Listening, listen
 from tdpg_deploy.drivers.realsense import RealsenseCamera
+from tdpg_deploy.drivers.ur5 import UrArm
 from tdpg_deploy.emulators.realsense import EmulatedD435, holes
 from tdpg_deploy.emulators.robotiq import FaultCode
 from tdpg_deploy.emulators.ur_controller.process import ControllerProcess
@@ -270,6 +273,36 @@ def test_a_wrong_cell_file_is_no_diagnosis(
 ) -> None:
     assert main(["--config", str(tmp_path / "none.toml")]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_small_motions_of_the_arm(config: CellConfig, robot: ControllerProcess) -> None:
+    before = robot.do("truth")["q"]
+    (finding,) = move_arm(UrArm(config.arm, clock=MachineClock()), config)
+    assert finding.verdict is GOOD
+    assert robot.do("truth")["q"] == pytest.approx(before, abs=1e-3)
+
+
+def test_the_fingers_own_ends_are_told(bench: Bench) -> None:
+    section = GripperSection(open_counts=9)
+    closed, opened = move_gripper(bench.gripper, section)
+    assert (closed.verdict, closed.measured) == (GOOD, "228")
+    assert opened.verdict is DOUBT
+    assert opened.remedy == "set gripper.open_counts = 3 (now 9)"
+
+
+@pytest.mark.parametrize(("answer", "moved"), [("yes\n", True), ("no\n", False), ("", False)])
+def test_the_command_moves_only_when_told_to(
+    answer: str, moved: bool, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host, port = bench.emulator.serve_urcap("127.0.0.1")
+    text = DEFAULT_CELL.read_text(encoding="utf-8")
+    text = text.replace("[gripper]", f'[gripper]\nhost = "{host}"\ntcp_port = {port}', 1)
+    path = tmp_path / "cell.toml"
+    path.write_text(text, encoding="utf-8")
+    monkeypatch.setattr(sys, "stdin", io.StringIO(answer))
+    assert main(["--config", str(path), "--device", "gripper", "--move"]) == 0
+    assert bool(bench.model.read(2000, 1)[0]) is moved
 
 
 def test_help_is_light() -> None:
