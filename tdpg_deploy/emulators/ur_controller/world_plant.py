@@ -2,9 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+
+from tdpg_deploy import kinematics
 from tdpg_deploy.geometry import Array
 from tdpg_deploy.sim.physics import TIME_STEP
 from tdpg_deploy.sim.world import World
+
+# The world's motors are rigid: what they press on takes 400 N within a tenth of a millimetre.
+# Real joints and rubber tips give way, so that a controller has time to see a force and to stop.
+RIGID = 80.0  # N; more is an obstacle, less is something that is pushed
+STIFFNESS = 20_000.0  # N/m of the arm and its tips, against obstacles
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Obstacle:
+    """Where the arm was when it met it, and the direction (3,) in which it was pressed."""
+
+    q: Array
+    p_base_tip: Array
+    direction: Array
 
 
 class WorldPlant:
@@ -12,8 +31,10 @@ class WorldPlant:
 
     def __init__(self, world: World) -> None:
         self._world, self._robot = world, world.robot
+        self._tip = np.append(world.config.arm.X_flange_tool.transform().translation, 1.0)
         self._q_target = self.q
         self._ahead = 0.0  # s of the controller that the world has not been stepped for yet
+        self._obstacle: _Obstacle | None = None
 
     @property
     def q(self) -> Array:
@@ -25,7 +46,9 @@ class WorldPlant:
 
     @property
     def force(self) -> Array:
-        return self._robot.force()
+        if self._obstacle is None:
+            return self._robot.force()
+        return STIFFNESS * self._depth(self._obstacle, self._q_target) * self._obstacle.direction
 
     def drive(self, q_target: Array, dt: float) -> None:
         before, self._q_target = self._q_target, q_target
@@ -34,5 +57,24 @@ class WorldPlant:
         while self._ahead >= TIME_STEP:
             self._ahead -= TIME_STEP
             since += TIME_STEP
-            self._robot.drive((before + (q_target - before) * (since / dt)).tolist())
-            self._world.step()
+            self._step(before + (q_target - before) * (since / dt))
+
+    def _step(self, q_target: Array) -> None:
+        if self._obstacle is not None and self._depth(self._obstacle, q_target) <= 0:
+            self._obstacle = None  # the target has come back
+        held = self._obstacle is not None
+        self._robot.drive((self._obstacle.q if self._obstacle else q_target).tolist())
+        self._world.step()
+        force = self._robot.force()
+        pressed = float(np.linalg.norm(force))
+        if not held and pressed > RIGID:
+            q = self.q
+            self._obstacle = _Obstacle(q=q, p_base_tip=self._place(q), direction=force / pressed)
+
+    def _depth(self, obstacle: _Obstacle, q_target: Array) -> float:
+        """Metres by which the target lies beyond the obstacle's surface."""
+        return float((obstacle.p_base_tip - self._place(q_target)) @ obstacle.direction)
+
+    def _place(self, q: Array) -> Array:
+        place: Array = (kinematics.forward_batch(q) @ self._tip)[:3]
+        return place
