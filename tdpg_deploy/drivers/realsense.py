@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,19 @@ ARRIVAL_LATENCY = 0.1  # s; from exposure to the host at most, for cameras that 
 PATIENCE_MS = 50  # of real time in one wait, between looks at the clock
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Session:
+    """What lives from connect to close, of pyrealsense2's types. align: None where depth and
+    colour share one camera."""
+
+    pipeline: Any
+    device: Any
+    serial: str
+    intrinsics: Intrinsics
+    align: Any
+    filters: tuple[Any, ...]
+
+
 class RealsenseCamera:
     """`hal.Camera`. The frames come from USB or from `section.recording`, unless a `source` is
     given (an emulated camera). Recordings are played from their beginning, each frame once."""
@@ -49,24 +63,22 @@ class RealsenseCamera:
         self._clock = clock
         self._source = source or _source(section)
         self._warm_up = warm_up
-        self._pipeline: Any = None
+        self._session: _Session | None = None
         self._sequence = 0
 
     @property
     def intrinsics(self) -> Intrinsics:
-        self._require_connected()
-        return self._intrinsics
+        return self._connected().intrinsics
 
     @property
     def device(self) -> Any:
         """The pyrealsense2 device (for diagnosis)."""
-        self._require_connected()
-        return self._device
+        return self._connected().device
 
     def connect(self) -> None:
         """Start the streams and let the exposure settle. Raises DeviceUnreachable without a
         camera, CameraError or DeviceTimeout when it delivers nothing, even after a reset."""
-        if self._pipeline is not None:
+        if self._session is not None:
             return
         try:
             self._start()
@@ -75,9 +87,9 @@ class RealsenseCamera:
             self._start()
 
     def close(self) -> None:
-        if self._pipeline is not None:
-            pipeline, self._pipeline = self._pipeline, None
-            self._source.stop(pipeline)
+        if self._session is not None:
+            session, self._session = self._session, None
+            self._source.stop(session.pipeline)
 
     def capture(self, *, deadline: float = 2.0) -> RgbdFrame:
         """Depth is the mean over `frames_averaged` frames; colour and time are the last one's.
@@ -85,17 +97,15 @@ class RealsenseCamera:
         Raises DeviceTimeout when no frames arrive, CameraError when only stale, torn or blind
         ones do, DeviceUnreachable when the camera is gone.
         """
-        self._require_connected()
+        session = self._connected()
         began = time.time()
         end = self._clock.now() + deadline
         depths: list[Depth] = []
-        while True:
-            frames = self._next_fresh(began, end)
-            aligned = self._aligned(self._filtered(frames))
-            color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
+        while len(depths) < self._section.frames_averaged:
+            frames = self._next_fresh(session, began, end)
+            pair = _aligned(session, frames)
+            depth = pair.get_depth_frame()
             depths.append(depth_in_metres(np.asanyarray(depth.get_data()), depth.get_units()))
-            if len(depths) == self._section.frames_averaged:
-                break
         mean = mean_depth(depths)
         if np.isnan(mean).all():
             raise CameraError(
@@ -105,12 +115,12 @@ class RealsenseCamera:
         self._sequence += 1
         return RgbdFrame(
             # Copied: librealsense stalls once some fifteen of its frames are kept.
-            color=np.array(color.get_data()),
+            color=np.array(pair.get_color_frame().get_data()),
             depth=mean,
-            intrinsics=self._intrinsics,
+            intrinsics=session.intrinsics,
             captured_at=self._clock.now() - self._age(frames),
             sequence=self._sequence,
-            serial=self._serial,
+            serial=session.serial,
         )
 
     # --- starting -----------------------------------------------------------------------------
@@ -119,37 +129,41 @@ class RealsenseCamera:
         rs = load_realsense()
         section = self._section
         wanted = StreamFormat(width=section.width, height=section.height, fps=section.fps)
-        self._pipeline, profile = self._source.start(wanted)
+        pipeline, profile = self._source.start(wanted)
         try:
-            self._set_up(rs, profile, wanted)
+            self._session = self._begin(rs, pipeline, profile, wanted)
             if self._source.is_live:
-                self._set_options(rs)
-                self._settle()
-        except BaseException:
-            self.close()
+                self._set_options(rs, self._session.device)
+                self._settle(self._session)
+        except BaseException as error:
+            self._session = None
+            self._source.stop(pipeline)
+            if isinstance(error, RuntimeError):  # librealsense's own
+                raise CameraError(f"{self._source.name}: cannot be set up ({error})") from error
             raise
 
-    def _set_up(self, rs: Any, profile: Any, wanted: StreamFormat) -> None:
-        self._device = profile.get_device()
-        self._serial = self._identify(rs)
+    def _begin(self, rs: Any, pipeline: Any, profile: Any, wanted: StreamFormat) -> _Session:
         depth, color = (
             profile.get_stream(kind).as_video_stream_profile()
             for kind in (rs.stream.depth, rs.stream.color)
         )
-        self._intrinsics = to_intrinsics(color.get_intrinsics())
-        size = (self._intrinsics.width, self._intrinsics.height)
-        if size != (wanted.width, wanted.height):
+        intrinsics = to_intrinsics(color.get_intrinsics())
+        if (intrinsics.width, intrinsics.height) != (wanted.width, wanted.height):
             raise CameraError(
-                f"{self._source.name}: colour is {size[0]}x{size[1]}, the cell file says "
-                f"{wanted.width}x{wanted.height}: set camera.width"
+                f"{self._source.name}: colour is {intrinsics.width}x{intrinsics.height}, the cell "
+                f"file says {wanted.width}x{wanted.height}: set camera.width"
             )
-        self._align = None if same_camera(depth, color) else rs.align(rs.stream.color)
-        self._filters = [_filter(rs, name) for name in self._section.filters]
-        self._host_time = rs.timestamp_domain.global_time
-        self._played = rs.playback_status.stopped
+        device = profile.get_device()
+        return _Session(
+            pipeline=pipeline,
+            device=device,
+            serial=self._identified(device.get_info(rs.camera_info.serial_number)),
+            intrinsics=intrinsics,
+            align=None if same_camera(depth, color) else rs.align(rs.stream.color),
+            filters=tuple(_filter(rs, name) for name in self._section.filters),
+        )
 
-    def _identify(self, rs: Any) -> str:
-        serial = str(self._device.get_info(rs.camera_info.serial_number))
+    def _identified(self, serial: str) -> str:
         if self._section.serial not in (None, serial):
             raise DeviceUnreachable(
                 f"{self._source.name} is camera {serial}, the cell file wants "
@@ -157,34 +171,30 @@ class RealsenseCamera:
             )
         return serial
 
-    def _set_options(self, rs: Any) -> None:
+    def _set_options(self, rs: Any, device: Any) -> None:
         options = {rs.option.emitter_enabled: float(self._section.emitter)}
         if self._section.preset is not None:
             preset = getattr(rs.rs400_visual_preset, self._section.preset.replace(" ", "_"))
             options[rs.option.visual_preset] = float(preset.value)
-        sensor = self._device.first_depth_sensor()
+        sensor = device.first_depth_sensor()
         for option, value in options.items():
-            if not sensor.supports(option):
-                raise CameraError(
-                    f"{self._source.name}: has no option {option.name}; is it a D435?"
-                )
             sensor.set_option(option, value)
 
-    def _settle(self) -> None:
+    def _settle(self, session: _Session) -> None:
         """Let the exposure settle; also proves that frames arrive."""
-        self._wait(_after(FIRST_FRAME_LIMIT))
+        self._wait(session, _after(FIRST_FRAME_LIMIT))
         settled = _after(self._warm_up)
         while not settled():
-            self._wait(_after(FIRST_FRAME_LIMIT))
+            self._wait(session, _after(FIRST_FRAME_LIMIT))
 
     # --- frames -------------------------------------------------------------------------------
 
-    def _next_fresh(self, began: float, end: float) -> Any:
+    def _next_fresh(self, session: _Session, began: float, end: float) -> Any:
         """A pair exposed after `began` (host time)."""
         complaint = ""
         while True:
             try:
-                frames = self._wait(lambda: self._clock.now() >= end)
+                frames = self._wait(session, lambda: self._clock.now() >= end)
             except DeviceTimeout as error:
                 raise CameraError(complaint) if complaint else error from None
             if not (complaint := self._flaw(frames, began)):
@@ -192,18 +202,18 @@ class RealsenseCamera:
             if self._clock.now() >= end:
                 raise CameraError(complaint)
 
-    def _wait(self, expired: Callable[[], bool]) -> Any:
+    def _wait(self, session: _Session, expired: Callable[[], bool]) -> Any:
         """The next frames, whatever they are."""
         while True:
             try:
-                arrived, frames = self._pipeline.try_wait_for_frames(PATIENCE_MS)
+                arrived, frames = session.pipeline.try_wait_for_frames(PATIENCE_MS)
             except RuntimeError as error:
                 raise DeviceUnreachable(
                     f"{self._source.name}: lost ({error}); check cable and port, connect again"
                 ) from error
             if arrived:
                 return frames
-            if self._has_ended():
+            if _has_ended(session):
                 raise CameraError(f"{self._source.name}: has been played to its end")
             if expired():
                 raise DeviceTimeout(
@@ -236,26 +246,27 @@ class RealsenseCamera:
         if not self._source.is_live:
             return 0.0
         pair = (frames.get_depth_frame(), frames.get_color_frame())
-        if any(f.get_frame_timestamp_domain() != self._host_time for f in pair):
+        if any(f.get_frame_timestamp_domain().name != "global_time" for f in pair):
             return ARRIVAL_LATENCY
         return time.time() - min(float(f.get_timestamp()) for f in pair) * 1e-3
 
-    def _filtered(self, frames: Any) -> Any:
-        for step in self._filters:
-            frames = step.process(frames).as_frameset()
-        return frames
-
-    def _aligned(self, frames: Any) -> Any:
-        # rs.align leaves holes even where there is nothing to align.
-        return frames if self._align is None else self._align.process(frames)
-
-    def _has_ended(self) -> bool:
-        playback = self._device.as_playback()
-        return bool(playback) and playback.current_status() == self._played
-
-    def _require_connected(self) -> None:
-        if self._pipeline is None:
+    def _connected(self) -> _Session:
+        if self._session is None:
             raise DeviceUnreachable(f"{self._source.name}: not connected; call connect() first")
+        return self._session
+
+
+def _aligned(session: _Session, frames: Any) -> Any:
+    """Filtered, and depth as the colour camera sees it."""
+    for step in session.filters:
+        frames = step.process(frames).as_frameset()
+    # rs.align leaves holes even where there is nothing to align.
+    return frames if session.align is None else session.align.process(frames)
+
+
+def _has_ended(session: _Session) -> bool:
+    playback = session.device.as_playback()
+    return bool(playback) and playback.current_status().name == "stopped"
 
 
 def _source(section: CameraSection) -> RealsenseSource:

@@ -60,7 +60,11 @@ class RobotiqWire(Protocol):
 
 
 class RobotiqGripper:
-    """`hal.Gripper` on a wire. Widths follow `scale`: calibrate its counts per gripper."""
+    """`hal.Gripper` on a wire. Widths follow `scale`: calibrate its counts per gripper.
+
+    Deadlines are the clock's; the patience of a wire that fails (a second or two of real time)
+    comes on top. After any failure of a motion the fingers are told to stop.
+    """
 
     def __init__(self, wire: RobotiqWire, *, clock: Clock, scale: CountScale | None = None) -> None:
         self._wire = wire
@@ -106,22 +110,23 @@ class RobotiqGripper:
         if status.is_ready and not status.fault.is_major:
             return
         # While it releases by itself the gripper takes no activation.
-        status = self._wait(end, lambda s: s.fault is not Fault.AUTOMATIC_RELEASE, "release")
-        # Major faults and a half-done activation are cleared by a rising edge of rACT only.
-        self._wire.write(Command(activate=False))
-        self._wait(end, lambda s: s.activation is Activation.RESET, "reset")
-        self._wire.write(Command(activate=True))
-        status = self._wait(end, lambda s: s.is_ready or s.fault.is_major, "activate")
-        if status.fault.is_major:
-            raise self._fault(status)
+        self._wait(end, lambda s: s.fault is not Fault.AUTOMATIC_RELEASE, "release")
+        try:
+            # Major faults and a half-done activation are cleared by a rising edge of rACT only.
+            self._wire.write(Command(activate=False))
+            self._wait(end, lambda s: s.activation is Activation.RESET, "reset")
+            self._wire.write(Command(activate=True))
+            status = self._wait(end, lambda s: s.is_ready or s.fault.is_major, "activate")
+            if status.fault.is_major:
+                raise self._fault(status)
+        except BaseException:
+            self._give_up_activation()
+            raise
 
     def move(
         self, width: float, *, speed: float, force: float, deadline: float = 5.0
     ) -> GripperState:
-        """On any error the fingers are told to stop where they are.
-
-        Raises GripperError on a fault or without activation, DeviceTimeout after `deadline`.
-        """
+        """Raises GripperError on a fault or without activation, DeviceTimeout after `deadline`."""
         end = self._clock.now() + deadline
         self._require_able(self._wire.read())
         request = Command(
@@ -186,13 +191,18 @@ class RobotiqGripper:
         return GripperError(f"{self._wire.name}: fault 0x{fault:02X} {fault.name}: {fault.remedy}")
 
     def _halt(self) -> None:
-        """Stop the fingers after a failure, which is what the caller gets to hear about."""
-        with contextlib.suppress(DeviceError):
+        """Stop a motion that failed."""
+        with contextlib.suppress(DeviceError):  # the caller hears of the first failure
             self._wire.open()
             # rACT written to a gripper that has just lost its activation would start the
             # activation: the fingers would travel.
             if self._wire.read().is_ready:
                 self._wire.write(Command(activate=True))
+
+    def _give_up_activation(self) -> None:
+        with contextlib.suppress(DeviceError):
+            self._wire.open()
+            self._wire.write(Command(activate=False))
 
     def _measured(self, status: Status) -> GripperState:
         return GripperState(

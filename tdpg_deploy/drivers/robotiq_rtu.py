@@ -68,6 +68,7 @@ class ModbusWire:
     ) -> None:
         self._new_client = client
         self._client: Any = None
+        self._doubtful = False  # an answer may still be under way
         self._name = name
         self._unit_id = unit_id
         self._hint = hint
@@ -78,7 +79,12 @@ class ModbusWire:
 
     def open(self) -> None:
         if self._client is None:
-            client = self._new_client()
+            try:
+                client = self._new_client()
+            except ImportError as error:
+                raise DeviceUnreachable(
+                    f"{self.name}: {error}: pip install 'tdpg-deploy[real]'"
+                ) from error
             if not client.connect():
                 raise DeviceUnreachable(f"{self.name}: cannot be opened: {self._hint()}")
             self._client = client
@@ -115,24 +121,28 @@ class ModbusWire:
 
         if self._client is None:
             raise DeviceUnreachable(f"{self.name}: not connected; call connect() first")
+        problem: Exception | None = None
         for _ in range(ATTEMPTS):
             try:
+                if self._doubtful:
+                    self._start_afresh()
                 return exchange()
-            except (ModbusException, ValueError) as error:
-                last = error
-            self.close()
-            self.open()
-            self._await_silence()
+            except (ModbusException, OSError, ValueError) as error:  # noqa: PERF203
+                problem = error
+                self._doubtful = True
         raise DeviceTimeout(
             f"{self.name}: no valid answer from unit {self._unit_id} in {ATTEMPTS} attempts "
-            f"(last: {last}); check its 24 V supply and unit id, and that no URCap owns the bus"
+            f"(last: {problem}); check its 24 V supply and unit id, and that no URCap owns the bus"
         )
 
-    def _await_silence(self) -> None:
-        """Let late answers pass: at most as many as were provoked."""
+    def _start_afresh(self) -> None:
+        """Open the line anew and let late answers pass: at most as many as were provoked."""
+        self.close()
+        self.open()
         for _ in range(ATTEMPTS):
             if not self._client.recv(None):
-                return
+                break
+        self._doubtful = False
 
 
 def _why_closed(port: str) -> str:

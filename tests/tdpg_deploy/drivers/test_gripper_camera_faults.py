@@ -178,9 +178,21 @@ def test_the_table_and_the_gripper_scenarios_are_the_same() -> None:
     assert [row.fault for row in GRIPPER] == list(GRIPPER_SCENARIOS)
 
 
+SLOW = ("mute-while-moving", "power-lost-while-moving")  # every attempt to stop it waits, too
+
+
 @pytest.mark.parametrize(
     ("row", "wire"),
-    [pytest.param(row, wire, id=f"{row.fault}-{wire}") for row in GRIPPER for wire in row.wires],
+    [
+        pytest.param(
+            row,
+            wire,
+            id=f"{row.fault}-{wire}",
+            marks=[pytest.mark.slow] if row.fault in SLOW else [],
+        )
+        for row in GRIPPER
+        for wire in row.wires
+    ],
 )
 def test_gripper(row: Row, wire: str) -> None:
     with bench_on(wire) as bench:

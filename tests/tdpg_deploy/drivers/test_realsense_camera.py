@@ -168,6 +168,19 @@ def test_options_reach_the_device(scene: Scene) -> None:
         assert sensor.get_option(rs.option.visual_preset) == 0  # left alone
 
 
+def test_an_option_that_the_device_refuses_is_told(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise RuntimeError("object doesn't support option Visual Preset")
+
+    monkeypatch.setattr(RealsenseCamera, "_set_options", refuse)
+    threads = threading.active_count()
+    with pytest.raises(CameraError, match=r"cannot be set up.*Visual Preset"), emulated(scene):
+        pass
+    assert threading.active_count() == threads
+
+
 def test_a_short_fault_is_waited_out(scene: Scene) -> None:
     for fault in (stalled, stale(9.0), torn(0.2)):
         with emulated(scene) as (camera, source):
@@ -178,7 +191,7 @@ def test_a_short_fault_is_waited_out(scene: Scene) -> None:
 def test_half_a_pair_is_told(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     half = SimpleNamespace(get_depth_frame=lambda: None, get_color_frame=object)
     with emulated(scene) as (camera, _):
-        monkeypatch.setattr(camera, "_wait", lambda expired: half)
+        monkeypatch.setattr(camera, "_wait", lambda session, expired: half)
         with pytest.raises(CameraError, match="only one of depth and colour arrives"):
             camera.capture(deadline=0.0)
 

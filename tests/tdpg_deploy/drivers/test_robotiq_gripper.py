@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from pydantic import ValidationError
 from robotiq_on_wires import WIRES, Bench, bench_on, wire_to
+from ur_rig import PacedClock
 
-from tdpg_deploy.drivers.robotiq import RobotiqGripper
+from tdpg_deploy.cell_config import GripperSection
+from tdpg_deploy.drivers.robotiq import RobotiqGripper, robotiq_gripper
 from tdpg_deploy.drivers.robotiq_registers import CountScale
 from tdpg_deploy.emulators.robotiq import FaultCode
 from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable, GripperError
@@ -146,6 +149,22 @@ def test_activation_mends_major_faults(active: Bench) -> None:
     assert active.gripper.move(0.05, speed=0.15, force=20.0).holding is Holding.NOTHING
 
 
+def test_a_failed_activation_is_stopped(bench: Bench) -> None:
+    sleep = bench.clock.sleep
+
+    def fail(seconds: float) -> None:
+        if bench.jaws.state().width < 0.06:
+            bench.model.fail(FaultCode.ACTIVATION)
+        sleep(seconds)
+
+    bench.clock.sleep = fail  # type: ignore[method-assign]
+    with pytest.raises(GripperError, match="0x0D ACTIVATION_FAILED"):
+        bench.gripper.activate()
+    bench.clock.sleep = sleep  # type: ignore[method-assign]
+    assert not bench.gripper.status().activated
+    assert_stopped(bench)
+
+
 def test_activation_waits_for_an_automatic_release(active: Bench) -> None:
     active.gripper.move(0.04, speed=0.15, force=20.0)
     active.model.release_automatically()
@@ -168,6 +187,29 @@ def test_closing_twice_and_connecting_again(active: Bench) -> None:
     active.gripper.connect()
     active.gripper.connect()
     assert active.gripper.state().width == pytest.approx(0.085)
+
+
+@pytest.mark.parametrize(
+    ("section", "name"),
+    [
+        ({"driver": "robotiq_rtu", "port": "/dev/ttyUSB0"}, "gripper on /dev/ttyUSB0"),
+        ({"driver": "robotiq_rtu_tcp"}, "gripper at 10.0.0.1:54321 (RTU over TCP)"),
+        (
+            {"driver": "robotiq_rtu_tcp", "tcp_port": 4001},
+            "gripper at 10.0.0.1:4001 (RTU over TCP)",
+        ),
+        ({"driver": "robotiq_urcap", "host": "10.0.0.2"}, "gripper at 10.0.0.2:63352 (URCap)"),
+    ],
+)
+def test_the_cell_file_chooses_the_wire(section: dict[str, object], name: str) -> None:
+    fields = GripperSection.model_validate({"open_counts": 7} | section)
+    gripper = robotiq_gripper(fields, arm_host="10.0.0.1", clock=PacedClock(1.0))
+    assert gripper.name == name
+
+
+def test_a_serial_gripper_needs_its_port() -> None:
+    with pytest.raises(ValidationError, match="robotiq_rtu needs port"):
+        GripperSection(driver="robotiq_rtu")
 
 
 def test_constructing_opens_nothing() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -107,3 +108,9 @@ def test_a_serial_port_says_why_it_does_not_open(
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(DeviceUnreachable, match="dialout"):
         serial_wire("/dev/null").open()
+
+
+def test_without_pymodbus_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pymodbus.client", None)
+    with pytest.raises(DeviceUnreachable, match=r"pip install 'tdpg-deploy\[real\]'"):
+        serial_wire("/dev/ttyUSB0").open()
