@@ -52,7 +52,7 @@ class Learner:
         batch = replay.transitions[picks]
         target = torch.from_numpy(batch["reward"].copy())
         if learning.discount:
-            target = target + learning.discount * self._value_of_next(replay, batch)
+            target = target + learning.discount * self.value_of_next(replay, batch)
 
         states = _states(replay, batch["look"])
         cuts, places = patches(
@@ -87,7 +87,7 @@ class Learner:
         }
 
     @torch.no_grad()
-    def _value_of_next(self, replay: Replay, batch: npt.NDArray[np.void]) -> torch.Tensor:
+    def value_of_next(self, replay: Replay, batch: npt.NDArray[np.void]) -> torch.Tensor:
         """max Q_grasp(s', a') over the ten grasps that were best when s' was seen (paper, eq. 1):
         the stored label is refreshed with today's weights."""
         value = torch.zeros(len(batch))

@@ -1,0 +1,84 @@
+"""The training loop on the real simulator, at the smallest size that has all of its parts."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
+from policies.networks.light import LightNet
+from tdpg_deploy.errors import ConfigError
+from tools.train import trainer
+from tools.train.cli import EXPERIMENTS
+from tools.train.config import Learning, Randomization, Rollout, TrainConfig, load_train_config
+from tools.train.rollout import RolloutTask, play
+
+SMALL = TrainConfig(
+    actions=12,
+    width=4,
+    rollout=Rollout(workers=1, actions=4, min_objects=2, max_objects=3),
+    learning=Learning(batch=4, warmup=2, updates_per_action=0.5),
+)
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_ends_like_one_that_was_not(tmp_path: Path) -> None:
+    whole: list[trainer.Progress] = []
+    straight = trainer.train(SMALL, tmp_path / "straight", on_progress=whole.append)
+
+    def killed(progress: trainer.Progress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        trainer.train(SMALL, tmp_path / "killed", on_progress=killed)
+    rest: list[trainer.Progress] = []
+    resumed = trainer.train(SMALL, tmp_path / "killed", on_progress=rest.append)
+
+    assert [progress.round for progress in whole] == [1, 2, 3]
+    assert repr(rest) == repr(whole[1:])
+    expected, actual = load_checkpoint(straight).weights, load_checkpoint(resumed).weights
+    for name, weight in expected.items():
+        torch.testing.assert_close(actual[name], weight, rtol=0, atol=0)
+
+
+@pytest.mark.slow
+def test_the_same_task_gives_the_same_experience(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    config = PolicyConfig(network="light", width=4, goal=False, method="grasp-only")
+    save_checkpoint(tmp_path / "p", LightNet(goal=False, width=4), config, {})
+    task = RolloutTask(
+        weights=tmp_path / "p",
+        cell=trainer.training_cell(),
+        randomization=Randomization(),
+        seed=(3, 1),
+        actions=3,
+        objects=(3, 3),
+        epsilon=0.5,
+    )
+    first, again = play(task), play(task)
+    np.testing.assert_array_equal(first.heights, again.heights)
+    np.testing.assert_array_equal(first.transitions, again.transitions)
+    other = play(dataclasses.replace(task, seed=(3, 2)))
+    assert not np.array_equal(first.heights[0], other.heights[0])
+
+
+def test_a_directory_belongs_to_one_experiment(tmp_path: Path) -> None:
+    (tmp_path / "experiment.json").write_text('{"stage": "other"}')
+    with pytest.raises(ConfigError, match="another experiment"):
+        trainer.train(SMALL, tmp_path, on_progress=lambda _: None)
+
+
+@pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_shipped_experiments_are_valid(file: Path) -> None:
+    assert load_train_config(file).actions > 0
+
+
+def test_a_wrong_experiment_names_the_field(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text("[learning]\ndiscount = 2.0\n")
+    with pytest.raises(ConfigError, match=r"learning.discount"):
+        load_train_config(file)
