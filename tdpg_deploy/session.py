@@ -6,7 +6,6 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +14,12 @@ from policies.shipped import NamedPolicy
 from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode import Confirm, run_episode
+from tdpg_deploy.episode_log import software
 from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.writer import EpisodeWriter
 from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
 from tdpg_deploy.sim.scene_file import format_scene
 from tdpg_deploy.sim.scenes import Scene
-
-RECORDED_VERSIONS = ("tdpg-deploy", "numpy", "torch", "pybullet", "numba", "opencv-python-headless")
 
 Watch = Callable[[EpisodeRecorder], EpisodeRecorder]
 
@@ -51,7 +49,8 @@ def log_episode(
         seed=seed,
         command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         scene=None if scene is None else format_scene(scene),
-        versions={name: version(name) for name in RECORDED_VERSIONS},
+        commit=software.commit(),
+        versions=software.versions(),
     )
     with (
         open_cell(config, real=real, scene=scene, seed=seed) as cell,
