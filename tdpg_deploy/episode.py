@@ -142,11 +142,8 @@ class _Episode:
     def look(self) -> Heightmap:
         cell, config = self.cell, self.cell.config
         frame, workspace = cell.camera.capture(), workspace_of(config)
-        heightmap = build_heightmap(frame, config.X_base_camera, workspace)
-        if self.goal and cell.goal_pixels is not None:
-            white = np.uint8(255) * cell.goal_pixels(frame)[..., None].repeat(3, axis=2)
-            painted = build_heightmap(replace(frame, color=white), config.X_base_camera, workspace)
-            heightmap = replace(heightmap, goal=painted.color[..., 0] > 127)
+        goal = cell.goal_pixels(frame) if self.goal and cell.goal_pixels is not None else None
+        heightmap = build_heightmap(frame, config.X_base_camera, workspace, goal_pixels=goal)
         self.log.observe(frame, heightmap)
         return heightmap
 

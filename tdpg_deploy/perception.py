@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
 from policies.heightmap import PIXEL, SIZE, Heightmap, Workspace
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.compiled import compiled
+from tdpg_deploy.errors import FrameError
 from tdpg_deploy.geometry import Transform
-from tdpg_deploy.hal import RgbdFrame
+from tdpg_deploy.hal import Intrinsics, RgbdFrame
+
+ONE_SURFACE = 0.005  # m; neighbours that differ by more are not samples of one surface
+
+Floats = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int32]
 
 
 def workspace_of(config: CellConfig) -> Workspace:
@@ -20,53 +28,118 @@ def workspace_of(config: CellConfig) -> Workspace:
 
 
 def build_heightmap(
-    frame: RgbdFrame, X_base_camera: Transform, workspace: Workspace
+    frame: RgbdFrame,
+    X_base_camera: Transform,
+    workspace: Workspace,
+    *,
+    goal_pixels: npt.NDArray[np.bool_] | None = None,
 ) -> Heightmap:
-    """Highest point of each pixel of the map, with its colour; nan where none fell."""
-    i = frame.intrinsics
-    height = np.full((SIZE, SIZE), np.nan, np.float32)
-    winner = np.full((SIZE, SIZE), -1, np.int32)
-    _scatter(
-        frame.depth,
-        X_base_camera.as_matrix().astype(np.float32),
-        np.float32([i.fx, i.fy, i.cx, i.cy]),
-        np.float32([workspace.x_max, workspace.y_max, workspace.table_z]),
-        height,
-        winner,
+    """The highest point seen in each pixel of the map, with its colour; nan where none was.
+
+    Gaps of one pixel between samples of one surface are filled; what an edge hides stays
+    unknown. goal_pixels: (H, W) of the frame, where it shows the object to fetch.
+    Raises FrameError if the frame's arrays do not fit its intrinsics.
+    """
+    _validate(frame, goal_pixels)
+    # Row, column (in pixels of the map) and height of a point z * (ray_x, ray_y, 1).
+    to_map = np.diag([-1 / PIXEL, -1 / PIXEL, 1.0])
+    corner = np.array([workspace.x_max, workspace.y_max, workspace.table_z])
+    height, source = _project(
+        np.ascontiguousarray(frame.depth),
+        *_rays(frame.intrinsics),
+        (to_map @ X_base_camera.rotation.as_matrix()).astype(np.float32),
+        (to_map @ (X_base_camera.translation - corner)).astype(np.float32),
     )
-    color = np.zeros((SIZE, SIZE, 3), np.uint8)
-    seen = winner >= 0
-    color[seen] = frame.color.reshape(-1, 3)[winner[seen]]
-    for _ in range(2):
-        _fill(height, color)
-    return Heightmap(workspace=workspace, color=color, height=height)
+    height, source = _fill(height, source)
+    seen = source >= 0
+    color = frame.color.reshape(-1, 3)[source]
+    color[~seen] = 0
+    goal = None if goal_pixels is None else goal_pixels.reshape(-1)[source] & seen
+    return Heightmap(workspace=workspace, color=color, height=height, goal=goal)
+
+
+def _validate(frame: RgbdFrame, goal_pixels: npt.NDArray[np.bool_] | None) -> None:
+    shape = (frame.intrinsics.height, frame.intrinsics.width)
+    arrays: list[tuple[str, npt.NDArray[np.generic], tuple[int, ...], type[np.generic]]] = [
+        ("depth", frame.depth, shape, np.float32),
+        ("color", frame.color, (*shape, 3), np.uint8),
+    ]
+    if goal_pixels is not None:
+        arrays.append(("goal_pixels", goal_pixels, shape, np.bool_))
+    for name, array, expected, dtype in arrays:
+        if array.shape != expected or array.dtype != dtype:
+            raise FrameError(
+                f"frame {frame.sequence} of camera {frame.serial}: {name} is {array.shape} "
+                f"{array.dtype}, its intrinsics ask for {expected} {np.dtype(dtype)}"
+            )
+
+
+@lru_cache(maxsize=4)
+def _rays(intrinsics: Intrinsics) -> tuple[Floats, Floats]:
+    """(H, W) each: x / z and y / z of the ray through each pixel's centre, undistorted."""
+    k = intrinsics
+    row, col = np.mgrid[: k.height, : k.width].astype(np.float64)
+    if not any(k.distortion):
+        rays = np.stack([(col - k.cx) / k.fx, (row - k.cy) / k.fy])
+    else:
+        import cv2
+
+        until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)  # eps in pixels
+        pixels = np.stack([col.ravel(), row.ravel()], axis=1)[:, None]
+        points = cv2.undistortPointsIter(
+            pixels, k.as_matrix(), np.array(k.distortion), np.eye(3), np.eye(3), until
+        )
+        rays = points.reshape(k.height, k.width, 2).transpose(2, 0, 1)
+    x, y = np.ascontiguousarray(rays, np.float32)
+    return x, y
 
 
 @compiled
-def _scatter(depth, X, pinhole, corner, height, winner):  # type: ignore[no-untyped-def]
-    fx, fy, cx, cy = pinhole
-    rows, cols = depth.shape
-    for v in range(rows):
-        yv = (v - cy) / fy
-        for u in range(cols):
-            d = depth[v, u]
-            if not d > 0:
+def _project(
+    depth: Floats, ray_x: Floats, ray_y: Floats, R: Floats, t: Floats
+) -> tuple[Floats, Indices]:
+    """(224, 224) height of the highest point of each pixel (nan where none) and the flat index
+    of the frame's pixel that it came from (-1)."""
+    rows, columns = depth.shape
+    size = np.float32(SIZE)
+    height = np.full((SIZE, SIZE), np.nan, np.float32)
+    source = np.full((SIZE, SIZE), -1, np.int32)
+    flat_height, flat_source = height.ravel(), source.ravel()
+    place = np.empty(columns, np.int32)
+    risen = np.empty(columns, np.float32)
+    for row in range(rows):
+        for col in range(columns):  # apart from the scattering loop: this one runs in SIMD
+            x, y, z = ray_x[row, col], ray_y[row, col], depth[row, col]
+            i = t[0] + z * (R[0, 0] * x + R[0, 1] * y + R[0, 2])
+            j = t[1] + z * (R[1, 0] * x + R[1, 1] * y + R[1, 2])
+            risen[col] = t[2] + z * (R[2, 0] * x + R[2, 1] * y + R[2, 2])
+            inside = (z > 0) & (i >= 0) & (i < size) & (j >= 0) & (j < size)  # False for nan
+            place[col] = np.int32(i) * SIZE + np.int32(j) if inside else -1
+        for col in range(columns):
+            at = place[col]
+            if at >= 0 and not flat_height[at] >= risen[col]:
+                flat_height[at] = risen[col]
+                flat_source[at] = row * columns + col
+    return height, source
+
+
+@compiled
+def _fill(height: Floats, source: Indices) -> tuple[Floats, Indices]:
+    """Close unseen pixels between two seen ones, opposite of each other, of one surface.
+
+    Of several such pairs the one that agrees best counts.
+    """
+    filled, origin = height.copy(), source.copy()
+    for row in range(1, SIZE - 1):
+        for col in range(1, SIZE - 1):
+            if source[row, col] >= 0:
                 continue
-            xu = (u - cx) / fx
-            x = d * (X[0, 0] * xu + X[0, 1] * yv + X[0, 2]) + X[0, 3]
-            y = d * (X[1, 0] * xu + X[1, 1] * yv + X[1, 2]) + X[1, 3]
-            r = np.floor((corner[0] - x) * np.float32(500))
-            c = np.floor((corner[1] - y) * np.float32(500))
-            if r >= 0 and c >= 0 and r < 224 and c < 224:
-                z = d * (X[2, 0] * xu + X[2, 1] * yv + X[2, 2]) + X[2, 3] - corner[2]
-                if not height[int(r), int(c)] >= z:
-                    height[int(r), int(c)] = z
-                    winner[int(r), int(c)] = v * cols + u
-
-
-def _fill(height: npt.NDArray[np.float32], color: npt.NDArray[np.uint8]) -> None:
-    for axis in (0, 1):
-        before, after = np.roll(height, 1, axis), np.roll(height, -1, axis)
-        gap = np.isnan(height) & (np.abs(before - after) < 0.005)
-        height[gap] = ((before + after) / 2)[gap]
-        color[gap] = np.roll(color, 1, axis)[gap]
+            best = np.float32(ONE_SURFACE)
+            for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                one, other = height[row - down, col - right], height[row + down, col + right]
+                difference = abs(one - other)
+                if difference < best:  # False for nan
+                    best = difference
+                    filled[row, col] = (one + other) / 2
+                    origin[row, col] = source[row - down, col - right]
+    return filled, origin
