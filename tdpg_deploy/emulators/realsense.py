@@ -95,7 +95,8 @@ class DepthCamera:
 
 
 class EmulatedD435:
-    """A `RealsenseSource`. `frames` gives what the camera sees now, as often as the rate asks.
+    """A `RealsenseSource`. `frames` gives what the camera sees now, as often as the rate asks;
+    it is called from a thread of its own.
 
     Its depth is that of the colour camera, unless a `depth_camera` says that it is another's.
     `fault` may be changed at any time. `reset` cures it when `heals_on_reset`.
