@@ -13,6 +13,7 @@ exit codes:
   1    at least one episode ended short of it (stuck, no action, limits)
   2    bad input: arguments, cell file, scene, checkpoint, calibration
   3    a device failed; the arm was stopped and the log is closed
+  4    the log could not be written (disk full?); the arm was stopped
   130  stopped by the operator (Ctrl-C); the arm was stopped and the log is closed
 """
 

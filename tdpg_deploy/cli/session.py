@@ -17,14 +17,14 @@ from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.cli.live import Live
 from tdpg_deploy.episode_log.summary import write_summary
 from tdpg_deploy.episode_record import EpisodeResult
-from tdpg_deploy.errors import ConfigError, DeviceError, TdpgError
+from tdpg_deploy.errors import ConfigError, DeviceError, LogError, TdpgError
 from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.perception import workspace_of
 from tdpg_deploy.session import log_episode
 from tdpg_deploy.sim.scene_file import load_scene
 from tdpg_deploy.sim.scenes import Scene, random_scene
 
-DONE, SHORT, BAD_INPUT, DEVICE_FAILED, STOPPED = 0, 1, 2, 3, 130
+DONE, SHORT, BAD_INPUT, DEVICE_FAILED, LOG_FAILED, STOPPED = 0, 1, 2, 3, 4, 130
 CODES = {
     EndReason.CLEARED: DONE,
     EndReason.GOAL_REACHED: DONE,
@@ -49,10 +49,13 @@ def run_session(args: argparse.Namespace) -> int:
             if code in (DEVICE_FAILED, STOPPED):
                 break
     except DeviceError as error:
-        console.print(str(error), style="red", markup=False)
+        console.print(str(error), style="red", markup=False, soft_wrap=True)
         return DEVICE_FAILED
+    except LogError as error:
+        console.print(str(error), style="red", markup=False, soft_wrap=True)
+        return LOG_FAILED
     except (TdpgError, PolicyError) as error:
-        console.print(str(error), style="red", markup=False)
+        console.print(str(error), style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
     except KeyboardInterrupt:
         console.print("stopped")
@@ -141,4 +144,4 @@ def _report(console: Console, result: EpisodeResult, path: Path, picture: Path) 
         console.print(result.error, style="red", markup=False)
     if result.truth:
         console.print("  ".join(f"{key}: {value}" for key, value in result.truth.items()))
-    console.print(f"log      {path}\npicture  {picture}", markup=False)
+    console.print(f"log      {path}\npicture  {picture}", markup=False, soft_wrap=True)
