@@ -14,7 +14,7 @@ from tdpg_deploy.errors import FrameError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics, RgbdFrame
 
-ONE_SURFACE = 0.005  # m; neighbours that differ by more are not samples of one surface
+ONE_SURFACE = 0.004  # m; a filled gap is the mean of two that differ by less: 2 mm at most
 
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int32]
