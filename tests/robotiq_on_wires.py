@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 from ur_rig import PacedClock
 
@@ -18,15 +17,15 @@ PACE = 8.0  # times as fast as the machine: the fingers travel 85 mm in 0.1 s
 WIRES = ("serial", "rtu_over_tcp", "urcap")
 
 
-@dataclass
 class Bench:
-    """A gripper on a table, its emulator, and what lies between its pads."""
+    """A gripper on a table, its emulator, and what objects leave free between its pads."""
 
-    gripper: RobotiqGripper
-    emulator: RobotiqEmulator
-    clock: PacedClock
-    jaws: KinematicJaws
-    span: tuple[float, float] = (0.0, STROKE)
+    def __init__(self) -> None:
+        self.span = (0.0, STROKE)
+        self.clock = PacedClock(PACE)
+        self.jaws = KinematicJaws(self.clock.now, span=lambda: self.span)
+        self.emulator = RobotiqEmulator(RobotiqModel(self.jaws, self.clock.now))
+        self.gripper = RobotiqGripper(UrcapWire("127.0.0.1", port=1), clock=self.clock)
 
     @property
     def model(self) -> RobotiqModel:
@@ -35,12 +34,9 @@ class Bench:
 
 @contextmanager
 def emulated_gripper() -> Iterator[Bench]:
-    """The emulator alone, with no wire yet; `gripper` is not usable."""
-    clock = PacedClock(PACE)
-    jaws = KinematicJaws(clock.now, span=lambda: bench.span)
-    with RobotiqEmulator(RobotiqModel(jaws, clock.now)) as emulator:
-        gripper = RobotiqGripper(UrcapWire("127.0.0.1", port=1), clock=clock)
-        bench = Bench(gripper, emulator, clock, jaws)
+    """The emulator alone, with no wire yet: `gripper` cannot be connected."""
+    bench = Bench()
+    with bench.emulator:
         yield bench
 
 

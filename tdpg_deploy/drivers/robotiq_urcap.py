@@ -24,10 +24,11 @@ REFUSED = "?"
 
 
 def encode_command(command: Command) -> bytes:
-    """One SET of all variables; ACT and GTO last, so that a motion starts complete."""
+    """One SET of all variables, as the command registers hold them: no automatic release (ATR).
+    ACT and GTO come last, so that a motion starts complete."""
     return (
         f"SET POS {command.position} SPE {command.speed} FOR {command.force} "
-        f"ACT {command.activate:d} GTO {command.go_to:d}\n"
+        f"ATR 0 ACT {command.activate:d} GTO {command.go_to:d}\n"
     ).encode("ascii")
 
 

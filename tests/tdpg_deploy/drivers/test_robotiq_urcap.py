@@ -17,7 +17,7 @@ from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable, GripperError
 
 def test_a_motion_is_one_line() -> None:
     command = Command(activate=True, go_to=True, position=255, speed=254, force=100)
-    assert encode_command(command) == b"SET POS 255 SPE 254 FOR 100 ACT 1 GTO 1\n"
+    assert encode_command(command) == b"SET POS 255 SPE 254 FOR 100 ATR 0 ACT 1 GTO 1\n"
 
 
 replies = st.one_of(
