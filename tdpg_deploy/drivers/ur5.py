@@ -119,7 +119,7 @@ class UrArm:
             qd=np.array(sample.qd),
             X_base_tool=Transform.from_rotation_vector(sample.pose),
             force=np.array(sample.force) - self._force_zero,
-            stamp=self._clock.now(),
+            stamp=sample.stamp,
         )
 
     # --- motion -------------------------------------------------------------------------------

@@ -7,11 +7,13 @@ Whatever goes wrong, the program on the controller is stopped, so that nobody wh
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 
 from tdpg_deploy.drivers import ur5_network
 from tdpg_deploy.drivers.ur5_control import ControlProcess
+from tdpg_deploy.drivers.ur5_stamps import Stamps
 from tdpg_deploy.drivers.ur5_status import (
     ControllerVersion,
     ProgramStopped,
@@ -38,6 +40,7 @@ class UrLink:
         self._clock = clock
         self._control = ControlProcess(host)
         self._version: ControllerVersion | None = None
+        self._stamps = Stamps()
         self._sampled_at = clock.now()
         self._longest_gap = 0.0
 
@@ -59,10 +62,12 @@ class UrLink:
         if problem := safety_problem(*ur5_network.ask_modes(self._host)):
             raise problem
         ur5_network.check_script_port(self._host)
+        self._stamps = Stamps()
         try:
             self._control.start(deadline=START_DEADLINE)
         except ArmError as error:
             raise _start_problem(str(error)) from error
+        self._sampled_at, self._longest_gap = self._clock.now(), 0.0
 
     def _check_version(self) -> None:
         """Of the software, and whether it is to be controlled from here."""
@@ -84,10 +89,6 @@ class UrLink:
         """End ur_rtde, and what it runs on the controller."""
         if self._control.is_alive:
             self.stop_program()
-        self._control.kill()
-
-    def kill(self) -> None:
-        """End ur_rtde. The controller's watchdog ends the program."""
         self._control.kill()
 
     def unlock(self, *, deadline: float) -> None:
@@ -124,7 +125,7 @@ class UrLink:
         now = self._clock.now()
         self._longest_gap = max(self._longest_gap, now - self._sampled_at)
         self._sampled_at = now
-        return sample
+        return replace(sample, stamp=self._stamps.stamp(sample.timestamp, now))
 
     def at_rest(self, *, until: float) -> Sample:
         """The first state in which the arm stands still. Raises DeviceTimeout."""

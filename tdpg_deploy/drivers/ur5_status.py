@@ -60,7 +60,8 @@ class Sample:
 
     q, qd: rad, rad/s. pose: UR's six numbers of the tool in base. force: N, as reported.
     slider: the operator's share of the speed, 0 to 1. operation, running: number of the last
-    asynchronous motion, and whether it is under way.
+    asynchronous motion, and whether it is under way. timestamp: s since the controller started;
+    stamp: the same moment on the cell's clock, which the child does not know.
     """
 
     timestamp: float
@@ -74,6 +75,7 @@ class Sample:
     slider: float
     operation: int
     running: bool
+    stamp: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ from tdpg_deploy.emulators.ur_controller.script import split_programs
 DASHBOARD_PORT = 29999  # fixed in the real controller, and in ur_rtde
 SCRIPT_PORT = 30003
 RTDE_PORT = 30004
+MADE_UP_FOR = 0.3  # s by which the control cycle may be late and still catch up
 
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
@@ -67,14 +68,14 @@ class Server:
     # --- control cycle ------------------------------------------------------------------------
 
     async def run(self, *, pace: float) -> None:
-        """Cycle for ever, `pace` times as fast as the clock; a late cycle is not made up for."""
+        """Cycle for ever, `pace` times as fast as the clock; up to MADE_UP_FOR late."""
         loop = asyncio.get_running_loop()
         period = self.controller.dt / pace
         due = loop.time()
         while True:
             self.cycle()
-            due = max(due + period, loop.time() - period)
-            await asyncio.sleep(due - loop.time())
+            due = max(due + period, loop.time() - MADE_UP_FOR)
+            await asyncio.sleep(max(due - loop.time(), 0))  # clients are heard in any case
 
     def cycle(self) -> None:
         """One control period; for those who keep time themselves."""

@@ -294,6 +294,7 @@ FAULTS = {
     "registers-in-use": Fault(provoke=at_connect("start_fieldbus"), mend=("stop_fieldbus",)),
     "second-driver": Fault(provoke=second_driver, then="move"),
     "local-at-connect": Fault(provoke=at_connect("local_control"), mend=("remote_control",)),
+    "program-refused": Fault(provoke=at_connect("local_control"), mend=("remote_control",)),
     "protective-stop-at-connect": Fault(provoke=at_connect("protective_stop")),
     "emergency-stop-at-connect": Fault(provoke=at_connect("emergency_stop"), mend=RELEASED),
     "power-off-at-connect": Fault(provoke=at_connect("power_off"), mend=("power_on",)),

@@ -135,6 +135,24 @@ def test_peer_that_resets() -> None:
         ur5_network.ask_version(host)
 
 
+@pytest.mark.parametrize("error", [TimeoutError(), OSError(113, "No route to host")])
+def test_peer_out_of_reach(error: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr(socket, "create_connection", fail)
+    expected = DeviceTimeout if isinstance(error, TimeoutError) else DeviceUnreachable
+    with pytest.raises(expected, match=r"is arm\.host right\?"):
+        ur5_network.ask_version(new_host())
+
+
+def test_peer_that_is_gone_before_it_is_asked() -> None:
+    with peer(DASHBOARD_PORT, lambda client: None) as host:
+        connection = ur5_network.Connection(host, DASHBOARD_PORT, deadline=2.0)
+        with connection, pytest.raises(DeviceUnreachable, match="lost"):
+            connection.send(bytes(10_000_000))  # more than buffers hold
+
+
 def test_script_port() -> None:
     with peer(SCRIPT_PORT, lambda client: None) as host:
         ur5_network.check_script_port(host)
