@@ -10,20 +10,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from policies.errors import NoActionError
-from policies.heightmap import Heightmap
+from policies.heightmap import Heightmap, Workspace
 from policies.policy import Decider, Decision
 from policies.primitives import Grasp, Primitive
 from tdpg_deploy.cell import Cell
 from tdpg_deploy.change import changed, gone
+from tdpg_deploy.choosing import Chooser
 from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
-from tdpg_deploy.errors import ConfigError, DeviceError, LogError, PlanRefused
+from tdpg_deploy.errors import ConfigError, DeviceError, LogError
 from tdpg_deploy.execution import execute, held, make_ready
-from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
-from tdpg_deploy.perception import build_heightmap, workspace_of
+from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.plan import Plan
-from tdpg_deploy.safety import check
 
 Confirm = Callable[[Decision, Plan], bool]
 
@@ -32,7 +30,6 @@ OBJECT_PIXELS = 100  # the smallest face of a block has 312
 MOSTLY_KNOWN = 0.8  # share of the map to be known before an empty table is believed
 BARELY_KNOWN = 0.5
 GOAL_PIXELS = 30
-MAX_REFUSALS = 20  # per look
 
 
 def run_episode(
@@ -55,7 +52,8 @@ def run_episode(
     """
     if goal and cell.goal_pixels is None:
         raise ConfigError("no goal: nothing tells this cell which pixels show the object to fetch")
-    episode = _Episode(cell=cell, policy=policy, rng=rng, log=log, goal=goal, confirm=confirm)
+    chooser = Chooser(policy, cell.config, rng)
+    episode = _Episode(cell=cell, chooser=chooser, log=log, goal=goal, confirm=confirm)
     try:
         result = episode.result(episode.run())
     except KeyboardInterrupt:
@@ -103,24 +101,14 @@ class _Counts:
             self.push_successes += success
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Futile:
-    """An action that failed and moved nothing: not to be tried again until the map changes."""
-
-    primitive: Primitive
-    seen: Heightmap
-
-
 @dataclass(kw_only=True)
 class _Episode:
     cell: Cell
-    policy: Decider
-    rng: np.random.Generator
+    chooser: Chooser
     log: EpisodeRecorder
     goal: bool
     confirm: Confirm | None
     counts: _Counts = field(default_factory=_Counts)
-    futile: list[_Futile] = field(default_factory=list)
     fetched_goal: bool = False
 
     def __post_init__(self) -> None:
@@ -130,7 +118,7 @@ class _Episode:
         make_ready(self.cell, on_state=self.log.arm_state, on_gripper=self.log.gripper_state)
         seen = self.look()
         while (reason := self.end_reason(seen)) is None:
-            chosen = self.choose(seen)
+            chosen = self.chooser.choose(seen, self.refused)
             if chosen is None:
                 return EndReason.NO_ACTION
             decision, plan = chosen
@@ -141,7 +129,10 @@ class _Episode:
 
     def look(self) -> Heightmap:
         cell, config = self.cell, self.cell.config
-        frame, workspace = cell.camera.capture(), workspace_of(config)
+        frame, workspace = (
+            cell.camera.capture(),
+            Workspace.around(config.workspace.center, config.workspace.table_z),
+        )
         goal = cell.goal_pixels(frame) if self.goal and cell.goal_pixels is not None else None
         heightmap = build_heightmap(frame, config.X_base_camera, workspace, goal_pixels=goal)
         self.log.observe(frame, heightmap)
@@ -162,37 +153,9 @@ class _Episode:
             return EndReason.STUCK
         return EndReason.ACTION_LIMIT if self.counts.actions >= limits.max_actions else None
 
-    def choose(self, seen: Heightmap) -> tuple[Decision, Plan] | None:
-        """The best action whose plan passes; None when there is none."""
-        refused: list[Primitive] = []
-        while len(refused) < MAX_REFUSALS:
-            decision = self.decide(seen, refused)
-            if decision is None:
-                return None
-            try:
-                plan = plan_primitive(decision.primitive, seen, self.cell.config)
-                check(plan, self.cell.config)
-            except PlanRefused as error:
-                self.log.refused(decision, str(error), stamp=self.cell.clock.now())
-                self.counts.refused += 1
-                refused.append(decision.primitive)
-            else:
-                return decision, plan
-        return None
-
-    def decide(self, seen: Heightmap, refused: list[Primitive]) -> Decision | None:
-        """None when nothing is left. What was futile comes last, for the stuck guard to end."""
-        avoid = [*refused, *(action.primitive for action in self.futile)]
-        try:
-            return self.policy.decide(seen, self.rng, avoid=avoid)
-        except NoActionError:
-            if not self.futile:
-                return None
-        self.futile.clear()
-        try:
-            return self.policy.decide(seen, self.rng, avoid=refused)
-        except NoActionError:
-            return None
+    def refused(self, decision: Decision, reason: str) -> None:
+        self.log.refused(decision, reason, stamp=self.cell.clock.now())
+        self.counts.refused += 1
 
     def act(self, decision: Decision, plan: Plan, before: Heightmap) -> Heightmap:
         """Run the plan, look again and conclude. Returns what is seen now."""
@@ -203,16 +166,9 @@ class _Episode:
         outcome = witnessed(outcome, plan.primitive, before, after)
         log.conclude(outcome, stamp=cell.clock.now())
         self.counts.add(outcome, cell.gripper.max_width)
-
-        self.futile = [
-            action
-            for action in self.futile
-            if changed(action.seen, after, action.primitive) is not Verdict.YES
-        ]
+        self.chooser.learn(plan.primitive, outcome, before, after)
         if outcome.success is Verdict.YES:
             self.fetched_goal = self.goal and took_goal(plan.primitive, before, after)
-        elif changed(before, after, plan.primitive) is not Verdict.YES:
-            self.futile.append(_Futile(primitive=plan.primitive, seen=before))
         return after
 
     def result(self, reason: EndReason, *, error: str | None = None) -> EpisodeResult:

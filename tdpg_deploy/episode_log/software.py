@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
@@ -10,6 +11,7 @@ from pathlib import Path
 import tdpg_deploy
 
 PACKAGES = (
+    "numba",
     "numpy",
     "opencv-python-headless",
     "pybullet",
@@ -28,8 +30,18 @@ def versions() -> dict[str, str]:
         "tdpg-deploy": tdpg_deploy.__version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
+        "processor": _processor(),
         **{package: number for package, number in installed.items() if number is not None},
     }
+
+
+def _processor() -> str:
+    """Its model: what a network computes is the same to the bit on the same one only."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.machine()
 
 
 def _version(package: str) -> str | None:

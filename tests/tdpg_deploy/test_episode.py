@@ -24,7 +24,8 @@ from policies.policy import ROTATIONS, Decision, QMaps
 from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy.cell import Cell, GoalPixels
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.episode import MAX_REFUSALS, run_episode
+from tdpg_deploy.choosing import MAX_REFUSALS
+from tdpg_deploy.episode import run_episode
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import CameraError, ConfigError, LogError, ProtectiveStop
 from tdpg_deploy.hal import ArmState, GripperState, RgbdFrame
