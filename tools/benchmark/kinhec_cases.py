@@ -16,10 +16,9 @@ from calibration.synthetic import Truth
 from calibration.views import Mounting, View
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics
-from tools.benchmark.calibration_cases import PIXEL_NOISE, VIEWS, Case
+from tools.benchmark.calibration_cases import PIXEL_NOISE, POSE_NOISE, VIEWS, Case
 
 BOARD = "checker_7x5_20mm"  # 0.12 x 0.08 m, seen from 0.8 to 1.6 m
-ROBOT_ROTATION, ROBOT_TRANSLATION = 2e-4, 1e-4  # rad, m: level r1 of kinhec's pnp track
 
 
 def kinhec_case(seed: int) -> Case | None:
@@ -27,8 +26,8 @@ def kinhec_case(seed: int) -> Case | None:
     stations = {"mode": "stations", "n_stations": VIEWS, "sync": "synchronous"}
     noise = {
         "models": ["se3_gaussian"],
-        "rot_std_rad": ROBOT_ROTATION,
-        "trans_std_m": ROBOT_TRANSLATION,
+        "rot_std_rad": POSE_NOISE.rotation,
+        "trans_std_m": POSE_NOISE.translation,
         "joint_std_rad": 0.0,
         "student_t_dof": None,
     }
