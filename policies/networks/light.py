@@ -13,6 +13,7 @@ from torch import nn
 
 from policies import state
 from policies.networks.maps import Maps, Network
+from policies.rotation import sample
 
 WINDOW = 5  # cells of 8 mm a side that Critic II looks at
 
@@ -67,6 +68,40 @@ class LightNet(Network):
         push, grasp = F.relu_(self.fuse2(x2)).chunk(2, dim=1)
         return Maps(push=self.push_net(push), grasp=self.grasp_net(grasp), features=features)
 
+    def at(
+        self, patches: torch.Tensor, places: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What `forward` and `evaluate` say of one action a patch, for a third of the work:
+        each layer runs only where the next ones need it.
+
+        patches: (n, 6 or 7, PATCH, PATCH) around the places (n, 2), which are no more than
+        STRIDE / 2 pixels from the middle. Returns Q_push, Q_grasp and the logit of P_success,
+        (n,) each.
+        """
+        inside4 = patches[:, :1, 2::4, 2::4]
+        inside8 = patches[:, :1, 4::8, 4::8]
+        # Slices name the cells of the whole patch that are left after convolving without padding.
+        x2 = F.relu_(_inner(self.stem, patches[:, :, 4:135, 4:135]))  # 3:66
+        x4 = _relu(_inner(self.down4, x2), inside4[:, :, 2:33, 2:33])
+        x4 = _relu(_inner(self.mix4, x4), inside4[:, :, 3:32, 3:32])
+        x8 = _relu(_inner(self.down8, x4), inside8[:, :, 2:16, 2:16])
+        inside8 = inside8[:, :, 2:16, 2:16]
+        for block in self.blocks:
+            assert isinstance(block, _Residual)
+            x8, inside8 = block.inner(x8, inside8)  # 4:14, 7:11
+        upper8 = F.interpolate(self.up4(x8), scale_factor=2.0)
+        features = F.relu_(upper8.add_(x4[:, :, 11:19, 11:19]))  # 14:22
+        x4 = _relu(_inner(self.fuse4, features), inside4[:, :, 15:21, 15:21])
+        upper4 = F.interpolate(self.up2(x4), scale_factor=2.0)
+        x2 = F.relu_(upper4.add_(x2[:, :, 27:39, 27:39]))  # 30:42
+        push, grasp = F.relu_(_inner(self.fuse2, x2)).chunk(2, dim=1)  # 31:41
+        near2, near4 = places * (self.PATCH / (10 * 2)), places * (self.PATCH / (8 * 4))
+        return (
+            sample(self.push_net(push), near2)[:, 0],
+            sample(self.grasp_net(grasp), near2)[:, 0],
+            self.evaluate(features, near4),
+        )
+
     def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         """Critic II: features (n, c, h, w) and the grasps' places in them (n, 2) in [-1, 1]
         -> (n,) logits of P_success.
@@ -92,6 +127,19 @@ class _Residual(nn.Module):
     def forward(self, x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
         y = _relu(self.first(x), inside)
         return _relu(self.second(y).add_(x), inside)
+
+    def inner(self, x: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """What `forward` makes of the middle, which no padding reaches, and `inside` there."""
+        y = _relu(_inner(self.first, x), inside[:, :, 1:-1, 1:-1])
+        y = _inner(self.second, y)
+        lost = (x.shape[2] - y.shape[2]) // 2
+        inside = inside[:, :, lost:-lost, lost:-lost]
+        return _relu(y.add_(x[:, :, lost:-lost, lost:-lost]), inside), inside
+
+
+def _inner(layer: nn.Conv2d, x: torch.Tensor) -> torch.Tensor:
+    """The convolution without its padding."""
+    return F.conv2d(x, layer.weight, layer.bias, layer.stride, 0, layer.dilation)
 
 
 def _relu(x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:

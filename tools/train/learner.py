@@ -11,7 +11,7 @@ import torch.nn.functional as F
 
 from policies.heightmap import Heightmap, Workspace
 from policies.networks.light import LightNet
-from policies.rotation import patches, sample
+from policies.rotation import patches
 from policies.state import BLUE, RED, encode
 from tools.train.config import Learning
 from tools.train.replay import Replay, unpack_height
@@ -64,14 +64,13 @@ class Learner:
             stride=LightNet.STRIDE,
         )
         cuts, places = augmented(cuts, places, batch["push"], rng)
-        maps = self.network(cuts.contiguous(memory_format=torch.channels_last))
-        grasp, push = sample(maps.grasp, places)[:, 0], sample(maps.push, places)[:, 0]
+        cuts = cuts.contiguous(memory_format=torch.channels_last)
+        push, grasp, logits = self.network.at(cuts, places)
         q = torch.where(torch.from_numpy(batch["push"].copy()), push, grasp)
         critic_one = (torch.from_numpy(weights) * F.huber_loss(q, target, reduction="none")).mean()
 
         tried = torch.from_numpy(batch["grasped"] >= 0)
         label = torch.from_numpy(batch["grasped"].astype(np.float32)).clamp(min=0)
-        logits = self.network.evaluate(maps.features, places)
         doubt = F.binary_cross_entropy_with_logits(logits, label, reduction="none")
         critic_two = (doubt * tried).sum() / tried.sum().clamp(min=1)
 
@@ -103,8 +102,8 @@ class Learner:
             size=LightNet.PATCH,
             stride=LightNet.STRIDE,
         )
-        q = sample(self.network(cuts).grasp, places)[:, 0].view(-1, count)
-        value[torch.from_numpy(going_on)] = q.amax(1)
+        _, q, _ = self.network.at(cuts, places)
+        value[torch.from_numpy(going_on)] = q.view(-1, count).amax(1)
         return value
 
 

@@ -50,6 +50,31 @@ def test_a_patch_yields_the_value_of_the_whole_picture(network: LightNet) -> Non
     torch.testing.assert_close(logits, expected, rtol=1e-4, atol=1e-4 * float(expected.std()))
 
 
+def test_one_action_is_valued_as_the_whole_patch_values_it(network: LightNet) -> None:
+    """At the border of where a place may be, on patches that the workspace's border crosses."""
+    patches = torch.rand(8, network.stem.in_channels, LightNet.PATCH, LightNet.PATCH)
+    patches[:, 0] = 1
+    patches[4:, :, :60], patches[6:, :, :, 90:] = 0, 0
+    far = LightNet.STRIDE / LightNet.PATCH
+    places = torch.tensor([[-far, -far], [far, far], [-far, far], [0.02, -0.01]]).repeat(2, 1)
+
+    maps = network(patches)
+    logits = network.evaluate(maps.features, places)
+    expected = sample(maps.push, places)[:, 0], sample(maps.grasp, places)[:, 0], logits
+    actual = network.at(patches, places)
+    for value, reference in zip(actual, expected, strict=True):
+        torch.testing.assert_close(
+            value, reference, rtol=1e-4, atol=1e-4 * float(reference.detach().std())
+        )
+
+    def gradients(values: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, ...]:
+        return torch.autograd.grad(torch.cat(values).square().sum(), list(network.parameters()))
+
+    for gradient, reference in zip(gradients(actual), gradients(expected), strict=True):
+        scale = float(reference.abs().max())
+        torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4 * scale)
+
+
 def test_the_receptive_field_holds_a_push_and_fits_into_a_patch(network: LightNet) -> None:
     picture = torch.rand(1, network.stem.in_channels, 320, 320)
     picture[:, 0] = 1
