@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from policies.heightmap import Heightmap, Workspace
+from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision
 from policies.primitives import Grasp, Primitive
 from tdpg_deploy.cell import Cell
@@ -22,6 +22,7 @@ from tdpg_deploy.execution import execute, held, make_ready
 from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
 from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.plan import Plan
+from tdpg_deploy.workspace import workspace_of
 
 Confirm = Callable[[Decision, Plan], bool]
 
@@ -129,10 +130,7 @@ class _Episode:
 
     def look(self) -> Heightmap:
         cell, config = self.cell, self.cell.config
-        frame, workspace = (
-            cell.camera.capture(),
-            Workspace.around(config.workspace.center, config.workspace.table_z),
-        )
+        frame, workspace = cell.camera.capture(), workspace_of(config)
         goal = cell.goal_pixels(frame) if self.goal and cell.goal_pixels is not None else None
         heightmap = build_heightmap(frame, config.X_base_camera, workspace, goal_pixels=goal)
         self.log.observe(frame, heightmap)

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from policies.heightmap import PIXEL, SIZE, Heightmap, Workspace
-from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.compiled import compiled
 from tdpg_deploy.errors import FrameError
 from tdpg_deploy.geometry import Transform
@@ -18,13 +17,6 @@ ONE_SURFACE = 0.004  # m; a filled gap is the mean of two that differ by less: 2
 
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int32]
-
-
-def workspace_of(config: CellConfig) -> Workspace:
-    """The square of the cell file, as heightmaps name it."""
-    x, y = config.workspace.center
-    half = SIZE * PIXEL / 2
-    return Workspace(x_min=x - half, y_min=y - half, table_z=config.workspace.table_z)
 
 
 def build_heightmap(

@@ -19,10 +19,10 @@ from tdpg_deploy.episode_log.summary import write_summary
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import ConfigError, DeviceError, LogError, TdpgError
 from tdpg_deploy.outcome import EndReason
-from tdpg_deploy.perception import workspace_of
 from tdpg_deploy.session import log_episode
 from tdpg_deploy.sim.scene_file import load_scene
 from tdpg_deploy.sim.scenes import Scene, random_scene
+from tdpg_deploy.workspace import workspace_of
 
 DONE, SHORT, BAD_INPUT, DEVICE_FAILED, LOG_FAILED, STOPPED = 0, 1, 2, 3, 4, 130
 CODES = {

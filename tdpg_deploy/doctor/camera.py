@@ -13,7 +13,8 @@ from tdpg_deploy.doctor.finding import Finding, judge
 from tdpg_deploy.drivers.realsense import RealsenseCamera
 from tdpg_deploy.drivers.realsense_library import load_realsense
 from tdpg_deploy.hal import RgbdFrame
-from tdpg_deploy.perception import build_heightmap, workspace_of
+from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.workspace import workspace_of
 
 CAMERA = "camera"
 FRAMES = 15

@@ -12,7 +12,6 @@ from enum import Enum
 import numpy as np
 import pybullet
 
-from policies.heightmap import PIXEL, SIZE, Workspace
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Array, Transform
@@ -23,6 +22,7 @@ from tdpg_deploy.sim.links import MAX_WIDTH
 from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.robot import Robot
 from tdpg_deploy.sim.scenes import Scene, SceneObject, Spawner
+from tdpg_deploy.workspace import workspace_of
 
 LOOK_EVERY = 16  # steps between looks at what may be put to sleep
 CALM_LOOKS = 2  # in a row; one alone might meet an object where it turns round
@@ -229,9 +229,3 @@ class World:
         if furniture.in_bin(self.config, p_base):
             return Where.BIN
         return Where.OUTSIDE
-
-
-def workspace_of(config: CellConfig) -> Workspace:
-    x, y = config.workspace.center
-    half = SIZE * PIXEL / 2
-    return Workspace(x_min=x - half, y_min=y - half, table_z=config.workspace.table_z)

@@ -16,7 +16,8 @@ from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.errors import FrameError
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics, RgbdFrame
-from tdpg_deploy.perception import build_heightmap, workspace_of
+from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.workspace import workspace_of
 
 MOCK = load_cell(DEFAULT_CELL)
 WORKSPACE = workspace_of(MOCK)

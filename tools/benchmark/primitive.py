@@ -15,10 +15,11 @@ from tdpg_deploy.errors import PlanRefused
 from tdpg_deploy.execution import execute, make_ready
 from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.outcome import GraspOutcome, Verdict
-from tdpg_deploy.perception import build_heightmap, workspace_of
+from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.plan import Plan
 from tdpg_deploy.safety import check
 from tdpg_deploy.sim.scenes import Scene, random_scene
+from tdpg_deploy.workspace import workspace_of
 from tools.benchmark.measure import Measurement
 from tools.train.trainer import training_cell
 

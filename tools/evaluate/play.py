@@ -12,10 +12,10 @@ import numpy as np
 
 from policies.shipped import open_policy
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.perception import workspace_of
 from tdpg_deploy.session import log_episode
 from tdpg_deploy.sim.scene_file import load_scene
 from tdpg_deploy.sim.scenes import random_scene
+from tdpg_deploy.workspace import workspace_of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,9 +22,9 @@ from tdpg_deploy.episode import run_episode
 from tdpg_deploy.episode_record import NullRecorder
 from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.outcome import Outcome, Verdict
-from tdpg_deploy.perception import workspace_of
 from tdpg_deploy.plan import Plan
 from tdpg_deploy.sim.scenes import random_scene
+from tdpg_deploy.workspace import workspace_of
 from tools.train.config import Randomization
 from tools.train.explore import Exploring
 from tools.train.randomize import randomized

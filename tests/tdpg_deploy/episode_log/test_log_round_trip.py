@@ -33,7 +33,8 @@ from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics
-from tdpg_deploy.perception import build_heightmap, workspace_of
+from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.workspace import workspace_of
 
 
 @pytest.fixture(scope="module")

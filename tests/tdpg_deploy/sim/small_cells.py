@@ -15,7 +15,8 @@ from tdpg_deploy.sim.arm import SimArm
 from tdpg_deploy.sim.bodies import SHAPES
 from tdpg_deploy.sim.gripper import SimGripper
 from tdpg_deploy.sim.scenes import Scene, SceneObject, random_scene
-from tdpg_deploy.sim.world import World, workspace_of
+from tdpg_deploy.sim.world import World
+from tdpg_deploy.workspace import workspace_of
 
 CARRIERS = ("gantry", "ur5")
 MOCK = load_cell(DEFAULT_CELL)
