@@ -129,7 +129,7 @@ def _simulated_cell(config: CellConfig, scene: Scene | None, seed: int) -> Cell:
 
     return Cell(
         config=config,
-        camera=SimCamera(world, config),
+        camera=SimCamera(world, config, seed=seed),
         arm=SimArm(world),
         gripper=SimGripper(world),
         clock=world.clock,

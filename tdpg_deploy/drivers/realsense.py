@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from tdpg_deploy.averaging import mean_depth
 from tdpg_deploy.cell_config import CameraSection
 from tdpg_deploy.drivers.realsense_frames import (
     Depth,
     depth_in_metres,
-    mean_depth,
     same_camera,
     to_intrinsics,
 )

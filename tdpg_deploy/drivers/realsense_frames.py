@@ -1,8 +1,7 @@
-"""librealsense's frames as values: metres, nan, intrinsics, means. Pure."""
+"""librealsense's frames as values: metres, nan, intrinsics. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,21 +19,6 @@ def depth_in_metres(counts: npt.NDArray[np.uint16], scale: float) -> Depth:
     depth *= np.float32(scale)
     depth[counts == 0] = np.nan
     return depth
-
-
-def mean_depth(depths: Sequence[Depth]) -> Depth:
-    """Mean over frames of a still scene: of what was seen, where most frames saw something."""
-    if len(depths) == 1:
-        return depths[0]
-    total = np.zeros(depths[0].shape, np.float32)
-    seen = np.zeros(depths[0].shape, np.float32)
-    for depth in depths:
-        known = ~np.isnan(depth)
-        total[known] += depth[known]
-        seen += known
-    mean = np.full(total.shape, np.nan, np.float32)
-    np.divide(total, seen, out=mean, where=seen > len(depths) / 2)
-    return mean
 
 
 def to_intrinsics(intrinsics: Any) -> Intrinsics:

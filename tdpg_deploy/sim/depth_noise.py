@@ -1,8 +1,9 @@
 """What a D435 makes of true depth. Pure: the generator is passed in.
 
 The depth camera matches blocks of pixels between two imagers 50 mm apart. So depth errs by a
-share of a pixel of disparity, which grows with z squared in metres; what only one imager sees is
-unknown; edges are ragged; and there are holes where a surface is steep or too dark to match.
+share of a pixel of disparity, which in metres grows with z squared:
+sigma_z = z^2 * sigma_disparity / (focal * baseline). What only one imager sees is unknown; edges
+are ragged and smeared; and there are holes where a surface is steep or too dark to match.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from tdpg_deploy.compiled import compiled
 from tdpg_deploy.hal import Intrinsics
@@ -23,23 +25,27 @@ Depth = npt.NDArray[np.float32]
 class StereoNoise:
     """Of a D435 at 848 x 480, where its depth is best. Pixels are those of its imagers.
 
-    baseline: m. focal: pixels (data sheet: depth field of view 87 degrees).
-    disparity_sd: pixels, matching error on a textured wall. disparity_step: of the chip's output.
-    correlation: pixels over which errors are alike, from the size of the matched block.
-    edge_jitter: sd in pixels of where an edge is seen. dark: luminance (0..255) below which holes
-    appear, up to `dark_holes` of the surface. grazing: slope dz/dx (pixels of disparity a pixel)
+    baseline (m), focal (px) and nearest (m): D400 series data sheet (50 mm, field of view 87
+    degrees, Min-Z). disparity_sd (px): "Best-Known-Methods for Tuning Intel RealSense D400
+    Depth Cameras" gives 0.05 to 0.1 on texture. disparity_step (px): of the chip's output.
+    correlation (px): sd of the blur that makes errors alike, from the size of the matched block.
+    edge_jitter (px): sd of where an edge is seen. smeared: share of the pixels at such an edge
+    that show a depth in between. lost: share of pixels that are holes anywhere. dark: luminance
+    (0..255) below which a share `dark_holes` is lost. grazing (px of disparity per px): slope
     above which nothing is matched.
     """
 
     baseline: float = 0.050
     focal: float = 425.0
+    nearest: float = 0.20
     disparity_sd: float = 0.08
     disparity_step: float = 1 / 32
     correlation: float = 1.2
     edge_jitter: float = 0.7
+    smeared: float = 0.3
+    lost: float = 0.002
     dark: float = 50.0
     dark_holes: float = 0.25
-    lost: float = 0.002
     grazing: float = 0.35
 
 
@@ -56,111 +62,106 @@ def with_stereo_noise(
     """Depth (H, W) m as the camera would deliver it, aligned to the colour image; nan where
     unknown. The imagers are taken to stand where the colour camera does."""
     pitch = intrinsics.fx / noise.focal  # pixels of the picture in one of the imagers'
-    shape = depth.shape
-    coarse = int(np.ceil(shape[0] / pitch)), int(np.ceil(shape[1] / pitch))
-    error = _field(rng, coarse, shape, noise.correlation)
-    jitter_row = _field(rng, coarse, shape, 0.5) * np.float32(noise.edge_jitter * pitch)
-    jitter_col = _field(rng, coarse, shape, 0.5) * np.float32(noise.edge_jitter * pitch)
-    blotches = _field(rng, coarse, shape, 2.0)
-    luminance = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-    out = np.empty(shape, np.float32)
-    _corrupt(
-        depth,
-        luminance,
-        error,
-        jitter_row,
-        jitter_col,
-        blotches,
-        out,
-        intrinsics.fx,
-        noise.baseline,
+    rows, cols = (int(np.ceil(size / pitch)) for size in depth.shape)
+    fields = np.stack(
+        [
+            _field(rng, (rows, cols), noise.correlation) * (noise.disparity_sd * pitch),
+            _field(rng, (rows, cols), 0.5) * (noise.edge_jitter * pitch),
+            _field(rng, (rows, cols), 0.5) * (noise.edge_jitter * pitch),
+            _field(rng, (rows, cols), 2.0),
+        ]
+    ).astype(np.float32)
+    scale = intrinsics.fx * noise.baseline
+    with np.errstate(divide="ignore"):
+        true = np.float32(scale) / depth
+    disparity = _match(
+        true,
+        np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8),
+        fields,
         pitch,
-        noise.disparity_sd,
-        noise.disparity_step,
-        noise.dark,
-        _normal_quantile(noise.dark_holes),
-        _normal_quantile(noise.lost),
+        noise.disparity_step * pitch,
+        scale / noise.nearest,
         noise.grazing,
+        float(ndtri(noise.lost)),
+        noise.dark,
+        float(ndtri(noise.dark_holes)),
+        float(-ndtri(noise.smeared)),
     )
-    return out
+    return np.float32(scale) / disparity
 
 
-def _field(
-    rng: np.random.Generator, coarse: tuple[int, int], shape: tuple[int, ...], correlation: float
-) -> Depth:
-    """Normal noise of unit variance (H, W), alike over `correlation` coarse pixels."""
-    white = rng.standard_normal(coarse, np.float32)
-    smooth = cv2.GaussianBlur(white, (0, 0), correlation)
-    smooth *= np.float32(2 * np.sqrt(np.pi) * correlation)  # the sd of a blurred white field
-    field = cv2.resize(smooth, shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return field.astype(np.float32, copy=False)
-
-
-def _normal_quantile(share: float) -> float:
-    """The value below which a normal variable lies with this probability."""
-    from scipy.special import ndtri
-
-    return float(ndtri(share))
+def _field(rng: np.random.Generator, shape: tuple[int, int], blur: float) -> Depth:
+    """(H, W) normal noise of unit variance, white noise blurred with a sd of `blur` pixels."""
+    reach = int(np.ceil(3 * blur))
+    kernel = np.exp(-((np.arange(-reach, reach + 1) / blur) ** 2) / 2)
+    kernel /= np.linalg.norm(kernel)
+    white = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), np.float32)
+    field = cv2.sepFilter2D(white, -1, kernel, kernel)[reach:-reach, reach:-reach]
+    return np.asarray(field, np.float32)
 
 
 @compiled
-def _corrupt(
-    depth: Depth,
+def _match(
+    true: Depth,
     luminance: npt.NDArray[np.uint8],
-    error: Depth,
-    jitter_row: Depth,
-    jitter_col: Depth,
-    blotches: Depth,
-    out: Depth,
-    focal: float,
-    baseline: float,
+    fields: Depth,
     pitch: float,
-    disparity_sd: float,
-    disparity_step: float,
-    dark: float,
-    dark_quantile: float,
-    lost_quantile: float,
+    step: float,
+    largest: float,
     grazing: float,
-) -> None:
-    """In pixels of the picture, `pitch` of which are one of the imagers'."""
-    rows, cols = depth.shape
-    scale = focal * baseline
+    lost_below: float,
+    dark: float,
+    dark_below: float,
+    smeared_above: float,
+) -> Depth:
+    """True disparity -> matched disparity, both in pixels of the picture, nan where unmatched.
+
+    fields: error of disparity, jitter of rows and columns, blotches, for each pixel of the
+    imagers, which is `pitch` pixels of the picture wide.
+    """
+    rows, cols = true.shape
+    matched = np.full((rows, cols), np.nan, np.float32)
     for row in range(rows):
+        error, jitter_row, jitter_col, blotches = fields[:, int(row / pitch)]
         leftmost = np.inf  # in the other imager, of all that was passed, from the right
         for col in range(cols - 1, -1, -1):
-            out[row, col] = np.nan
-            true = depth[row, col]
-            if not true > 0:
+            if not 0 < true[row, col] < largest:  # so for nan
                 continue
-            place = col - scale / true
+            place = col - true[row, col]
             hidden = place >= leftmost
             leftmost = min(leftmost, place)
-            if hidden or blotches[row, col] < lost_quantile:
+            imager_col = int(col / pitch)
+            blotch = blotches[imager_col]
+            if hidden or blotch < lost_below:
                 continue
-            if luminance[row, col] < dark and blotches[row, col] < dark_quantile:
+            if luminance[row, col] < dark and blotch < dark_below:
                 continue
-            if _slope(depth, row, col, scale) > grazing:
+            if _slope(true, row, col) > grazing:
                 continue
-            from_row = min(max(row + int(np.rint(jitter_row[row, col])), 0), rows - 1)
-            from_col = min(max(col + int(np.rint(jitter_col[row, col])), 0), cols - 1)
-            seen = depth[from_row, from_col]
-            if not seen > 0:
-                continue
-            disparity = scale / seen / pitch + disparity_sd * error[row, col]
-            steps = np.rint(disparity / disparity_step)
-            if steps > 0:
-                out[row, col] = scale / (pitch * steps * disparity_step)
+            down = int(np.rint(jitter_row[imager_col]))
+            right = int(np.rint(jitter_col[imager_col]))
+            seen = _at(true, row + down, col + right)
+            if blotch > smeared_above:
+                share = min(blotch - smeared_above, 1) / 2
+                seen += share * (_at(true, row - down, col - right) - seen)
+            steps = np.rint((seen + error[imager_col]) / step)
+            if steps > 0:  # not so for nan
+                matched[row, col] = steps * step
+    return matched
 
 
 @compiled
-def _slope(depth: Depth, row: int, col: int, scale: float) -> float:
+def _at(image: Depth, row: int, col: int) -> float:
+    """Value at a pixel, or at the border nearest to it."""
+    rows, cols = image.shape
+    return float(image[min(max(row, 0), rows - 1), min(max(col, 0), cols - 1)])
+
+
+@compiled
+def _slope(disparity: Depth, row: int, col: int) -> float:
     """Change of disparity (pixels a pixel) across the surface at a pixel: the smaller one of
     both sides, so that the border of a surface is not taken for a steep one."""
-    rows, cols = depth.shape
-    if row == 0 or col == 0 or row == rows - 1 or col == cols - 1:
-        return 0.0
-    here = scale / depth[row, col]
-    across = min(abs(scale / depth[row, col - 1] - here), abs(scale / depth[row, col + 1] - here))
-    down = min(abs(scale / depth[row - 1, col] - here), abs(scale / depth[row + 1, col] - here))
-    steepest = max(across, down)
-    return steepest if steepest == steepest else 0.0
+    here = disparity[row, col]
+    across = min(abs(_at(disparity, row, col - 1) - here), abs(_at(disparity, row, col + 1) - here))
+    down = min(abs(_at(disparity, row - 1, col) - here), abs(_at(disparity, row + 1, col) - here))
+    return float(max(across, down))

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tdpg_deploy.hal import RgbdFrame
+from tdpg_deploy.sim.camera import true_pose
 from tdpg_deploy.sim.render import render
 from tdpg_deploy.sim.world import World
 
@@ -16,7 +17,5 @@ from tdpg_deploy.sim.world import World
 def goal_pixels(world: World, frame: RgbdFrame, goals: Collection[int]) -> npt.NDArray[np.bool_]:
     """(H, W): pixels of `frame` that show one of the scene's objects `goals`. The world must not
     have moved since the frame was taken."""
-    config = world.config
-    X_base_camera = (config.simulation.X_base_camera or config.camera.X_base_camera).transform()
-    owner = render(world.visible(), frame.intrinsics, X_base_camera).owner
+    owner = render(world.visible(), frame.intrinsics, true_pose(world.config)).owner
     return np.isin(owner, list(goals))

@@ -4,11 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as npst
 
-from tdpg_deploy.drivers.realsense_frames import depth_in_metres, mean_depth, to_intrinsics
+from tdpg_deploy.drivers.realsense_frames import depth_in_metres, to_intrinsics
 from tdpg_deploy.errors import CameraError
 from tdpg_deploy.hal import Intrinsics
 
@@ -19,21 +16,6 @@ def test_counts_become_metres_by_the_devices_own_scale() -> None:
     np.testing.assert_allclose(depth_in_metres(counts, 0.0001)[0, 1:], [0.0001, 0.1, 6.5535])
     assert np.isnan(depth_in_metres(counts, 0.001)[0, 0])
     assert depth_in_metres(counts, 0.001).dtype == np.float32
-
-
-@given(
-    st.integers(1, 7).flatmap(
-        lambda n: npst.arrays(
-            np.float32, (n, 3, 4), elements=st.one_of(st.just(np.nan), st.floats(0.25, 2, width=32))
-        )
-    )
-)
-def test_the_mean_is_numpys_where_most_frames_saw_something(stack: np.ndarray) -> None:  # type: ignore[type-arg]
-    mean = mean_depth(list(stack))
-    seen = np.isfinite(stack).sum(axis=0)
-    most = seen > len(stack) / 2
-    assert (np.isfinite(mean) == most).all()
-    np.testing.assert_allclose(mean[most], np.nanmean(stack[:, most], axis=0), rtol=1e-6)
 
 
 def rs_intrinsics(model: str, coefficients: list[float]) -> SimpleNamespace:
