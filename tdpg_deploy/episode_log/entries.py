@@ -79,12 +79,28 @@ def _best_by_rotation(maps: npt.NDArray[np.float32]) -> tuple[Candidate, ...]:
     return tuple(c for c in candidates if np.isfinite(c.q))
 
 
+@dataclass(frozen=True, kw_only=True)
+class LookDocument:
+    """Closes a look: what its images do not say. It stands for the look where they stay unread."""
+
+    sequence: int
+    serial: str
+    captured_at: float
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
     """A frame, and the heightmap that was made of it."""
 
     frame: RgbdFrame
     heightmap: Heightmap
+
+    @property
+    def document(self) -> LookDocument:
+        frame = self.frame
+        return LookDocument(
+            sequence=frame.sequence, serial=frame.serial, captured_at=frame.captured_at
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +145,9 @@ class End:
     stamp: float
 
 
-Entry: TypeAlias = Look | Refusal | QPictures | Intent | ArmState | GripperState | Conclusion | End
+Entry: TypeAlias = (
+    Look | LookDocument | Refusal | QPictures | Intent | ArmState | GripperState | Conclusion | End
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +155,7 @@ class Step:
     """One planned action; or, as the last of an episode, refusals that led to none.
 
     look, next_look: what was seen before and after; like q_pictures None if images were left out
-    or are lost.
+    or are lost. seen, next_seen: when that was, told without images too.
     outcome: None if the log ends before it was known.
     """
 
@@ -149,18 +167,11 @@ class Step:
     gripper_states: tuple[GripperState, ...]
     next_look: Look | None
     outcome: Outcome | None
+    seen: LookDocument | None = None
+    next_seen: LookDocument | None = None
 
 
 # --- documents that complete the images and states of other channels ---------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class LookDocument:
-    """Closes a look: what its images do not say."""
-
-    sequence: int
-    serial: str
-    captured_at: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from tdpg_deploy.episode_log.entries import (
     Entry,
     Intent,
     Look,
+    LookDocument,
     QPictures,
     Refusal,
     Step,
@@ -33,6 +34,8 @@ class _Open:
     arm_states: list[ArmState] = field(default_factory=list)
     gripper_states: list[GripperState] = field(default_factory=list)
     next_look: Look | None = None
+    seen: LookDocument | None = None
+    next_seen: LookDocument | None = None
 
     def step(self, outcome: Outcome | None) -> Step:
         return Step(
@@ -44,10 +47,12 @@ class _Open:
             gripper_states=tuple(self.gripper_states),
             next_look=self.next_look,
             outcome=outcome,
+            seen=self.seen,
+            next_seen=self.next_seen,
         )
 
     def successor(self) -> _Open:
-        return _Open(look=self.next_look)
+        return _Open(look=self.next_look, seen=self.next_seen)
 
     @property
     def size(self) -> int:
@@ -65,11 +70,12 @@ def group(entries: Iterable[Entry]) -> Iterator[Step]:
         for entry in entries:
             if current.size >= MAX_ENTRIES:
                 raise LogError(f"a step of more than {MAX_ENTRIES} states and refusals")
-            if isinstance(entry, Look):
+            if isinstance(entry, Look | LookDocument):
+                look, seen = (entry, entry.document) if isinstance(entry, Look) else (None, entry)
                 if current.intent is None:
-                    current.look = entry
+                    current.look, current.seen = look, seen
                 else:
-                    current.next_look = entry
+                    current.next_look, current.next_seen = look, seen
             elif isinstance(entry, Refusal | QPictures | Intent):
                 if current.intent is not None:  # its conclusion is lost
                     yield current.step(None)

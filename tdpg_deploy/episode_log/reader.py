@@ -46,22 +46,42 @@ class Episode:
     about: About
 
     def entries(self, *, images: bool = True, states: bool = True) -> Iterator[Entry]:
-        """Everything, in order. Without `images` (looks, pictures of Q-maps) they stay unread and
-        unchecked, which is many times faster; without `states` (of arm and gripper) too."""
-        skipped = (_IMAGES if not images else set()) | (_STATES if not states else set())
-        try:
-            with self.path.open("rb") as file:
-                skip = frozenset() if images else chunks_of(file, channels.IMAGES)
-                file.seek(0)
-                yield from _entries(read_records(file, skip=skip), skipped)
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot be read ({error.strerror})") from error
-        except LogError as error:
-            raise LogError(f"{self.path}: {error}") from error
+        """Everything, in order. Without `images` they stay unread and unchecked, which is many
+        times faster, and a LookDocument stands for each look; without `states` those of arm and
+        gripper are left out."""
+        ignore = _FOR_VIEWERS | (_STATES if not states else set())
+        if images:
+            yield from _entries(self._records(ignore), images=True)
+        else:
+            unread = ignore | channels.IMAGES
+            yield from _entries(self._records(unread, unread=unread), images=False)
 
     def steps(self, *, images: bool = True, states: bool = True) -> Iterator[Step]:
         """One for each planned action, and a last one for refusals that led to none."""
         return group(self.entries(images=images, states=states))
+
+    def images(self, topics: Set[str]) -> Iterator[tuple[str, bytes]]:
+        """Topic and content of the messages on some of channels.IMAGES, in order, not decoded.
+        Raises LogError."""
+        others = (channels.PROTOBUF.keys() | channels.DOCUMENTS.keys()) - topics
+        names: dict[int, str] = {}
+        for record in self._records(others, unread=others):
+            if isinstance(record, Channel):
+                names[record.id] = record.topic
+            elif isinstance(record, Message) and names.get(record.channel_id) in topics:
+                yield names[record.channel_id], record.data
+
+    def _records(self, ignore: Set[str], *, unread: Set[str] = frozenset()) -> Iterator[McapRecord]:
+        """Without messages on topics to ignore, and without chunks of nothing but `unread`."""
+        try:
+            with self.path.open("rb") as file:
+                skip = chunks_of(file, unread) if unread else frozenset()
+                file.seek(0)
+                yield from read_records(file, skip=skip, ignore=ignore)
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read ({error.strerror})") from error
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
 
     def result(self) -> EpisodeResult | None:
         """How the episode went; None if the log ends before that was told."""
@@ -103,20 +123,19 @@ def _read_head(records: Iterator[McapRecord]) -> About:
     return from_metadata(metadata[METADATA], metadata.get(VERSIONS, {}), attachments)
 
 
-def _entries(records: Iterator[McapRecord], skipped: Set[str]) -> Iterator[Entry]:
+def _entries(records: Iterator[McapRecord], *, images: bool) -> Iterator[Entry]:
     topics: dict[int, str] = {}
     parts = _Parts()
+    closing = _CLOSING if images else _CLOSING_DOCUMENTS
     for record in records:
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Message):
             topic = topics.get(record.channel_id, "")
-            if topic in skipped:
-                continue
             if topic in _ALONE:
                 yield documents.decode(channels.DOCUMENTS[topic], record.data)
-            elif topic in _CLOSING:
-                entry = _CLOSING[topic](parts, record)
+            elif topic in closing:
+                entry = closing[topic](parts, record)
                 if entry is not None:
                     yield entry
             else:
@@ -139,8 +158,12 @@ class _Parts:
         return whole if len(whole) == len(topics) else None
 
 
+def _look_document(closing: Message) -> LookDocument:
+    return documents.decode(LookDocument, closing.data)
+
+
 def _look(parts: _Parts, closing: Message) -> Look | None:
-    document = documents.decode(LookDocument, closing.data)
+    document = _look_document(closing)
     data = parts.take(
         closing, channels.COLOR, channels.DEPTH, channels.CALIBRATION, channels.HEIGHTMAP
     )
@@ -198,6 +221,7 @@ _CLOSING: dict[str, Callable[[_Parts, Message], Entry | None]] = {
     channels.PLAN: _intent,
     channels.TOOL_FORCE: _arm_state,
 }
-_IMAGES = channels.IMAGES | {channels.LOOK}
-_STATES = frozenset({channels.JOINTS, channels.TOOL_FORCE, channels.GRIPPER})
+_CLOSING_DOCUMENTS = _CLOSING | {channels.LOOK: lambda _, closing: _look_document(closing)}
+_STATES = frozenset({channels.JOINTS, channels.TRANSFORMS, channels.TOOL_FORCE, channels.GRIPPER})
+_FOR_VIEWERS = frozenset({channels.LOG_LINES, channels.PLAN_SCENE, channels.PLAN_POSES})
 _ALONE = channels.DOCUMENTS.keys() - _CLOSING.keys() - {channels.DECISION}
