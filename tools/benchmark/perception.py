@@ -1,142 +1,139 @@
-"""How long it takes until a frame is a heightmap, and how long the simulated camera takes for one.
+"""How long it takes to make a heightmap of a D435's frame, and to render that frame.
 
-References of the same run: a plain NumPy scatter of the same points, and pybullet's TinyRenderer
-on the same bodies.
+References, measured in the same run: a plain scatter in NumPy, and pybullet's TinyRenderer on
+the same world.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import pybullet
 
-from policies.heightmap import SIZE, Workspace
-from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
-from tdpg_deploy.geometry import Transform
-from tdpg_deploy.hal import Intrinsics, RgbdFrame
+from policies.heightmap import PIXEL, SIZE, Workspace
+from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.perception import build_heightmap
-from tdpg_deploy.sim.camera import SimCamera
-from tdpg_deploy.sim.render import Lighting, render
+from tdpg_deploy.sim.camera import COLOR_640, COLOR_1280, SimCamera, true_pose
+from tdpg_deploy.sim.depth_noise import with_stereo_noise
+from tdpg_deploy.sim.render import render
 from tdpg_deploy.sim.scenes import random_scene
 from tdpg_deploy.sim.world import World
-from tdpg_deploy.workspace import workspace_of
 from tools.benchmark.measure import Measurement, timed
 
-OBJECTS = 10
+OBJECTS = 30
 REPEATS = 50
-REFERENCE_REPEATS = 7
 
 
 def run() -> list[Measurement]:
-    """Milliseconds a frame, at both sizes of the camera, with ten objects on the table."""
-    return [measurement for width in (640, 1280) for measurement in _at_width(width)]
+    """Milliseconds a frame, on a table with thirty objects."""
+    results = []
+    for width in (640, 1280):
+        with crowded_world(width) as world:
+            results += of_frames(world, width) + of_rendering(world, width)
+    return results
 
 
-def _at_width(width: int) -> list[Measurement]:
+@contextmanager
+def crowded_world(width: int) -> Iterator[World]:
     config = load_cell(DEFAULT_CELL)
-    camera_section = config.camera.model_copy(update={"width": width})
-    config = config.model_copy(update={"camera": camera_section})
-    workspace = workspace_of(config)
+    config = config.model_copy(update={"camera": config.camera.model_copy(update={"width": width})})
+    workspace = Workspace.around(config.workspace.center, config.workspace.table_z)
     scene = random_scene(OBJECTS, workspace, np.random.default_rng(0))
     world = World(config, scene, seed=0)
     try:
-        camera = SimCamera(world, config)
-        camera.connect()
-        frame = camera.capture()
-        return [
-            *_heightmap(frame, config.X_base_camera, workspace),
-            *_rendering(world, config, frame.intrinsics),
-            timed(f"{_size(frame.intrinsics)}: capture with noise", camera.capture, repeats=15),
-        ]
+        yield world
     finally:
         world.close()
 
 
-def _heightmap(
-    frame: RgbdFrame, X_base_camera: Transform, workspace: Workspace
-) -> list[Measurement]:
-    size = _size(frame.intrinsics)
+def of_frames(world: World, width: int) -> list[Measurement]:
+    camera = SimCamera(world, world.config)
+    camera.connect()
+    frame, X_base_camera = camera.capture(), world.config.X_base_camera
     scatter = timed(
-        f"{size}: heightmap, NumPy scatter",
-        partial(numpy_scatter, frame, X_base_camera, workspace),
-        repeats=REFERENCE_REPEATS,
+        f"heightmap of {width}: NumPy scatter",
+        partial(scatter_in_numpy, frame, X_base_camera, world.workspace),
+        repeats=REPEATS // 2,
     )
-    ours = timed(
-        f"{size}: heightmap",
-        partial(build_heightmap, frame, X_base_camera, workspace),
-        repeats=REPEATS,
-        reference=scatter.median,
-    )
-    return [scatter, ours]
-
-
-def numpy_scatter(
-    frame: RgbdFrame, X_base_camera: Transform, workspace: Workspace
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
-    """Colour and height of the highest point in each pixel, without filling: points are sorted
-    by height, so that the highest one is written last."""
-    k = frame.intrinsics
-    row, col = np.nonzero(np.isfinite(frame.depth))
-    z = frame.depth[row, col]
-    p_camera = np.stack([(col - k.cx) / k.fx * z, (row - k.cy) / k.fy * z, z], axis=1)
-    p_base = X_base_camera @ p_camera
-    order = np.argsort(p_base[:, 2])
-    i, j = workspace.to_pixel(p_base[order, 0], p_base[order, 1])
-    inside = (i >= 0) & (i < SIZE) & (j >= 0) & (j < SIZE)
-    i, j, order = i[inside], j[inside], order[inside]
-    height = np.full((SIZE, SIZE), np.nan, np.float32)
-    color = np.zeros((SIZE, SIZE, 3), np.uint8)
-    height[i, j] = p_base[order, 2] - workspace.table_z
-    color[i, j] = frame.color[row[order], col[order]]
-    return color, height
-
-
-def _rendering(world: World, config: CellConfig, intrinsics: Intrinsics) -> list[Measurement]:
-    size, pieces = _size(intrinsics), world.visible()
-    X_base_camera = config.X_base_camera
-    tiny = timed(
-        f"{size}: picture, TinyRenderer",
-        partial(tiny_renderer, world, intrinsics, X_base_camera),
-        repeats=REFERENCE_REPEATS,
-    )
-    ours = [
+    return [
+        scatter,
         timed(
-            f"{size}: picture{how}",
-            partial(render, pieces, intrinsics, X_base_camera, lighting),
-            repeats=REPEATS // 2,
-            reference=tiny.median,
-        )
-        for how, lighting in (("", Lighting()), (" with shadows", Lighting(shadow_side=1.0)))
+            f"heightmap of {width}: build_heightmap",
+            partial(build_heightmap, frame, X_base_camera, world.workspace),
+            repeats=REPEATS,
+            reference=scatter.median,
+        ),
     ]
-    return [tiny, *ours]
 
 
-def tiny_renderer(world: World, intrinsics: Intrinsics, X_base_camera: Transform) -> object:
-    """Colour, depth and owners by pybullet's software renderer, without shadows."""
-    k, near, far = intrinsics, 0.05, 5.0
-    to_opengl = np.diag([1.0, -1.0, -1.0, 1.0])  # its camera looks along -z, y up
-    view = to_opengl @ X_base_camera.inverse().as_matrix()
-    projection = np.array(
-        [
-            [2 * k.fx / k.width, 0, 1 - 2 * k.cx / k.width, 0],
-            [0, 2 * k.fy / k.height, 2 * k.cy / k.height - 1, 0],
-            [0, 0, (near + far) / (near - far), 2 * near * far / (near - far)],
-            [0, 0, -1, 0],
-        ]
+def of_rendering(world: World, width: int) -> list[Measurement]:
+    intrinsics = {640: COLOR_640, 1280: COLOR_1280}[width]
+    pieces, X_base_camera = world.visible(), true_pose(world.config)
+    seen = render(pieces, intrinsics, X_base_camera)
+    tiny = timed(
+        f"render {width}: TinyRenderer",
+        partial(draw_with_tiny_renderer, world, width),
+        repeats=max(3, REPEATS // 10),
     )
-    picture: object = pybullet.getCameraImage(
+    return [
+        tiny,
+        timed(
+            f"render {width}: render",
+            partial(render, pieces, intrinsics, X_base_camera),
+            repeats=REPEATS,
+            reference=tiny.median,
+        ),
+        timed(
+            f"noise of {width}: with_stereo_noise",
+            partial(
+                with_stereo_noise, seen.depth, seen.color, intrinsics, np.random.default_rng(0)
+            ),
+            repeats=REPEATS,
+        ),
+    ]
+
+
+def scatter_in_numpy(
+    frame: RgbdFrame, X_base_camera: Transform, workspace: Workspace
+) -> tuple[Array, Array]:
+    """Height and colour as most would write them: points in order of height, the last one wins."""
+    k = frame.intrinsics
+    row, col = np.mgrid[: k.height, : k.width]
+    z = frame.depth
+    p_camera = np.stack([(col - k.cx) / k.fx * z, (row - k.cy) / k.fy * z, z], axis=-1)
+    p_base = X_base_camera @ p_camera[np.isfinite(z)]
+    colors = frame.color[np.isfinite(z)]
+    i = np.floor((workspace.x_max - p_base[:, 0]) / PIXEL).astype(int)
+    j = np.floor((workspace.y_max - p_base[:, 1]) / PIXEL).astype(int)
+    inside = (i >= 0) & (i < SIZE) & (j >= 0) & (j < SIZE)
+    i, j, up, colors = i[inside], j[inside], p_base[inside, 2], colors[inside]
+    order = np.argsort(up)
+    height = np.full((SIZE, SIZE), np.nan)
+    color = np.zeros((SIZE, SIZE, 3))
+    height[i[order], j[order]] = up[order] - workspace.table_z
+    color[i[order], j[order]] = colors[order]
+    return height, color
+
+
+def draw_with_tiny_renderer(world: World, width: int) -> None:
+    """The same view of the physics' own shapes."""
+    k = {640: COLOR_640, 1280: COLOR_1280}[width]
+    pose = true_pose(world.config)
+    _, down, forward = pose.rotation.as_matrix().T
+    eye = pose.translation
+    view = pybullet.computeViewMatrix(eye.tolist(), (eye + forward).tolist(), (-down).tolist())
+    field_of_view = float(np.degrees(2 * np.arctan(k.height / 2 / k.fy)))
+    projection = pybullet.computeProjectionMatrixFOV(field_of_view, k.width / k.height, 0.1, 5.0)
+    pybullet.getCameraImage(
         k.width,
         k.height,
-        view.T.ravel().tolist(),
-        projection.T.ravel().tolist(),
-        shadow=0,
+        view,
+        projection,
         renderer=pybullet.ER_TINY_RENDERER,
         physicsClientId=world.client,
     )
-    return picture
-
-
-def _size(intrinsics: Intrinsics) -> str:
-    return f"{intrinsics.width}x{intrinsics.height}"
