@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from tdpg_deploy.cell_config import CellConfig
+from tdpg_deploy.cell_config import CameraSection, CellConfig
 from tdpg_deploy.hal import Arm, Camera, Clock, Gripper, RgbdFrame
 
 if TYPE_CHECKING:
+    from tdpg_deploy.drivers.realsense import RealsenseCamera
     from tdpg_deploy.sim.scenes import Scene
 
 Truth: TypeAlias = Callable[[], Mapping[str, int]]
@@ -96,15 +97,28 @@ class MachineClock:
         time.sleep(seconds)
 
 
-def _real_cell(config: CellConfig) -> Cell:
+def realsense_camera(section: CameraSection, *, clock: Clock) -> RealsenseCamera:
+    """The camera of a cell file: on USB, recorded or emulated. Opens nothing."""
     from tdpg_deploy.drivers.realsense import RealsenseCamera
+
+    if section.emulated is None:
+        return RealsenseCamera(section, clock=clock)
+    from tdpg_deploy.emulators.frame_wire import RemoteFrames
+    from tdpg_deploy.emulators.realsense import EMULATED_SERIAL, EmulatedD435
+
+    frames = RemoteFrames(*section.emulated)
+    source = EmulatedD435(frames, serial=section.serial or EMULATED_SERIAL)
+    return RealsenseCamera(section, clock=clock, source=source)
+
+
+def _real_cell(config: CellConfig) -> Cell:
     from tdpg_deploy.drivers.robotiq import robotiq_gripper
     from tdpg_deploy.drivers.ur5 import UrArm
 
     clock = MachineClock()
     return Cell(
         config=config,
-        camera=RealsenseCamera(config.camera, clock=clock),
+        camera=realsense_camera(config.camera, clock=clock),
         arm=UrArm(config.arm, clock=clock),
         gripper=robotiq_gripper(config.gripper, arm_host=config.arm.host, clock=clock),
         clock=clock,
@@ -114,7 +128,7 @@ def _real_cell(config: CellConfig) -> Cell:
 def _simulated_cell(config: CellConfig, scene: Scene | None, seed: int) -> Cell:
     from tdpg_deploy.sim.arm import SimArm
     from tdpg_deploy.sim.camera import SimCamera
-    from tdpg_deploy.sim.goal import goal_pixels
+    from tdpg_deploy.sim.goal import GoalDetector
     from tdpg_deploy.sim.gripper import SimGripper
     from tdpg_deploy.sim.scenes import Scene
     from tdpg_deploy.sim.world import Where, World
@@ -133,7 +147,7 @@ def _simulated_cell(config: CellConfig, scene: Scene | None, seed: int) -> Cell:
         arm=SimArm(world),
         gripper=SimGripper(world),
         clock=world.clock,
-        goal_pixels=lambda frame: goal_pixels(world, frame, goals),
+        goal_pixels=GoalDetector(world, goals),
         truth=truth,
         release=world.close,
     )

@@ -130,6 +130,7 @@ class CameraSection(_Section):
     emitter: bool = True  # the projector of dots
     filters: tuple[Literal["spatial", "temporal", "hole filling"], ...] = ()  # of librealsense
     recording: str | None = None  # played back in place of a camera
+    emulated: tuple[str, Annotated[int, Field(ge=1, le=65535)]] | None = None  # by tdpg-emulate
 
     @property
     def height(self) -> int:

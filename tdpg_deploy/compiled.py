@@ -12,5 +12,7 @@ R = TypeVar("R")
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """No fastmath: nan must stay nan. Division by zero gives inf, as in NumPy."""
-    return cast("Callable[P, R]", numba.njit(cache=True, error_model="numpy")(function))
+    """No fastmath: nan must stay nan. Division by zero gives inf, as in NumPy. Other threads of
+    the interpreter go on meanwhile."""
+    compile_it = numba.njit(cache=True, error_model="numpy", nogil=True)
+    return cast("Callable[P, R]", compile_it(function))

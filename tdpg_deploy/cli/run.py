@@ -36,10 +36,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of scene, noise and choices")
     p.add_argument("--out", type=Path, default=Path("logs"), metavar="DIR", help="for the logs")
 
-    mock = p.add_argument_group("the simulated table")
-    table = mock.add_mutually_exclusive_group()
-    table.add_argument("--objects", type=_objects, default=10, metavar="N", help="1 to 30, random")
-    table.add_argument("--scene", type=Path, metavar="FILE", help="a scene file")
+    add_table_arguments(p)
 
     real = p.add_argument_group("the real cell")
     real.add_argument("--real", action="store_true", help="move the real arm; asks first")
@@ -54,6 +51,14 @@ def parser() -> argparse.ArgumentParser:
         "--unattended", action="store_true", help="do not ask: nobody stands by the arm"
     )
     return p
+
+
+def add_table_arguments(p: argparse.ArgumentParser) -> None:
+    """--objects or --scene."""
+    mock = p.add_argument_group("the simulated table")
+    table = mock.add_mutually_exclusive_group()
+    table.add_argument("--objects", type=_objects, default=10, metavar="N", help="1 to 30, random")
+    table.add_argument("--scene", type=Path, metavar="FILE", help="a scene file")
 
 
 def _positive(text: str) -> int:

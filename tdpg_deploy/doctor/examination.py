@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeAlias
 
-from tdpg_deploy.cell import MachineClock
+from tdpg_deploy.cell import MachineClock, realsense_camera
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.doctor.finding import Finding, Verdict
 from tdpg_deploy.errors import DeviceError
@@ -74,6 +74,5 @@ def _move_gripper(config: CellConfig) -> Iterable[Finding]:
 
 def _camera(config: CellConfig) -> Iterable[Finding]:
     from tdpg_deploy.doctor.camera import examine_camera
-    from tdpg_deploy.drivers.realsense import RealsenseCamera
 
-    return examine_camera(RealsenseCamera(config.camera, clock=MachineClock()), config)
+    return examine_camera(realsense_camera(config.camera, clock=MachineClock()), config)

@@ -20,13 +20,14 @@ import numpy.typing as npt
 
 from tdpg_deploy.drivers.realsense_library import load_realsense
 from tdpg_deploy.drivers.realsense_source import StreamFormat
-from tdpg_deploy.errors import CameraError
+from tdpg_deploy.errors import CameraError, DeviceError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics, RgbdFrame
 
 DEPTH_UNITS = 0.001  # m a count, as a D435 leaves the factory
 BASELINE_MM = 50.0
 STOP_LIMIT = 5.0  # s
+EMULATED_SERIAL = "000000000000"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +109,7 @@ class EmulatedD435:
         self,
         frames: Callable[[], RgbdFrame],
         *,
-        serial: str = "000000000000",
+        serial: str = EMULATED_SERIAL,
         depth_camera: DepthCamera | None = None,
         heals_on_reset: bool = False,
     ) -> None:
@@ -170,7 +171,10 @@ class EmulatedD435:
     def _feed(self, period: float) -> None:
         due = time.monotonic()
         while self._running.is_set():
-            exposure = self.fault(self._expose())
+            try:
+                exposure = self.fault(self._expose())
+            except DeviceError:
+                exposure = None  # the source hangs or is gone; it may come back
             if exposure is not None:
                 self.delivered += 1
                 self._device.deliver(exposure, self.delivered, self.domain)

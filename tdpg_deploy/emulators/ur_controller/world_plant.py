@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +28,13 @@ class _Obstacle:
 
 
 class WorldPlant:
-    """`plant.Plant` over a world that a UR5 carries. Steps the world, which nobody else may."""
+    """`plant.Plant` over a world that a UR5 carries. Steps the world, which nobody else may.
 
-    def __init__(self, world: World) -> None:
-        self._world, self._robot = world, world.robot
+    before_step: called before each step of the world; for what else moves in it.
+    """
+
+    def __init__(self, world: World, *, before_step: Callable[[], None] = lambda: None) -> None:
+        self._world, self._robot, self._before_step = world, world.robot, before_step
         self._tip = np.append(world.config.arm.X_flange_tool.transform().translation, 1.0)
         self._q_target = self.q
         self._ahead = 0.0  # s of the controller that the world has not been stepped for yet
@@ -64,6 +68,7 @@ class WorldPlant:
             self._obstacle = None  # the target has come back
         held = self._obstacle is not None
         self._robot.drive((self._obstacle.q if self._obstacle else q_target).tolist())
+        self._before_step()
         self._world.step()
         force = self._robot.force()
         pressed = float(np.linalg.norm(force))

@@ -1,0 +1,93 @@
+"""The camera of an emulated cell: pictures of the world that the arm moves in, served."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from tdpg_deploy.cell_config import CellConfig
+from tdpg_deploy.emulators.frame_wire import encode
+from tdpg_deploy.hal import Clock
+from tdpg_deploy.sim.camera import SimCamera
+from tdpg_deploy.sim.pieces import VisiblePiece
+from tdpg_deploy.sim.world import World
+
+
+class _Still:
+    """A `sim.camera.VisibleWorld` as it was at one instant."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.pieces: Sequence[VisiblePiece] = ()
+
+    def visible(self) -> Sequence[VisiblePiece]:
+        return self.pieces
+
+
+class CameraServer:
+    """Serves frames from the event loop that steps the world.
+
+    The world is looked at between two steps; its picture is then drawn in a thread, so that the
+    arm's control cycle goes on.
+    """
+
+    def __init__(self, world: World, config: CellConfig, *, seed: int) -> None:
+        self._world = world
+        self._still = _Still(world.clock)
+        single = config.camera.model_copy(update={"frames_averaged": 1})  # the driver averages
+        self._camera = SimCamera(
+            self._still, config.model_copy(update={"camera": single}), seed=seed
+        )
+        self._camera.connect()
+        self._drawing = ThreadPoolExecutor(1, thread_name_prefix="camera")
+        self._awake = asyncio.Event()
+        self._awake.set()
+        self._server: asyncio.Server | None = None
+        self._clients: set[asyncio.Task[None]] = set()
+
+    async def listen(self, host: str, port: int) -> None:
+        """Raises OSError when the port is taken."""
+        await self._picture()  # what is compiled on first use would make the first client wait
+        self._server = await asyncio.start_server(self._serve, host, port)
+
+    def stall(self) -> None:
+        """Accept clients and send nothing, until `resume`."""
+        self._awake.clear()
+
+    def resume(self) -> None:
+        self._awake.set()
+
+    async def close(self) -> None:
+        """Cut off all clients. May be called twice."""
+        if self._server is not None:
+            self._server.close()
+        for client in self._clients:
+            client.cancel()
+        await asyncio.gather(*self._clients, return_exceptions=True)
+        self._drawing.shutdown()
+
+    async def _serve(self, _: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        client = asyncio.current_task()
+        assert client is not None
+        self._clients.add(client)
+        try:
+            await self._awake.wait()
+            writer.write(await self._picture())
+            await writer.drain()
+        except ConnectionError:
+            pass  # the client is gone
+        finally:
+            self._clients.discard(client)
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+    async def _picture(self) -> bytes:
+        pieces = self._world.visible()
+        return await asyncio.get_running_loop().run_in_executor(self._drawing, self._draw, pieces)
+
+    def _draw(self, pieces: Sequence[VisiblePiece]) -> bytes:
+        self._still.pieces = pieces
+        return encode(self._camera.capture())
