@@ -15,7 +15,7 @@ import numpy as np
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import ArmSection
 from tdpg_deploy.drivers.ur5_link import AT_REST, UrLink
-from tdpg_deploy.drivers.ur5_status import ControllerVersion, Sample, motion_problem
+from tdpg_deploy.drivers.ur5_status import ControllerVersion, Sample
 from tdpg_deploy.errors import ArmError, DeviceError, DeviceTimeout
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import ArmState, Clock, MotionEnd, MotionResult, OnArmState
@@ -216,9 +216,7 @@ class UrArm:
         """Until the motion that follows operation `before` is over; True after a contact."""
         count = pressed = 0
         while True:
-            sample = self._link.sample()
-            if motion_problem(sample):
-                raise self._link.cause(f"during the motion to {target.text}")
+            sample = self._link.watch(f"the motion to {target.text}")
             state = self._as_state(sample)
             if stop_force is not None:
                 pressed = pressed + 1 if np.linalg.norm(state.force) > stop_force else 0

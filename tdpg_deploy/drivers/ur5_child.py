@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 from tdpg_deploy.drivers.ur5_status import RuntimeState, Sample
 
 FREQUENCY = 125.0  # Hz; both generations serve it
-STALE_AFTER = 0.3  # s without a new state
+STALE_AFTER = 0.5  # s without a new state
 _KICK_EVERY = 0.05  # s
 _VARIABLES = (
     *("timestamp", "actual_q", "actual_qd", "actual_TCP_pose", "actual_TCP_force"),

@@ -49,7 +49,7 @@ class ControlProcess:
             self.kill()
             raise
 
-    def call(self, name: str, *arguments: object, deadline: float = 2.0) -> Any:
+    def call(self, name: str, *arguments: object, deadline: float = 4.0) -> Any:
         """The result of a `Session` method. The child is killed when it does not answer."""
         if self._connection is None:
             raise DeviceUnreachable("the arm is not connected: call connect() or recover()")

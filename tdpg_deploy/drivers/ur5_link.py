@@ -25,7 +25,7 @@ from tdpg_deploy.drivers.ur5_status import (
 from tdpg_deploy.errors import ArmError, DeviceError, DeviceTimeout, DeviceUnreachable
 from tdpg_deploy.hal import Clock
 
-WATCHDOG = 4.0  # Hz: a quarter of a second without word from here stops the program
+WATCHDOG = 2.0  # Hz: half a second without word from here stops the program
 START_DEADLINE = 15.0  # s for ur_rtde to connect, upload and start its program
 STOP_DEADLINE = 2.0  # s for the arm to come to rest
 CAUSE_SAMPLES = 12  # 0.1 s: the safety mode may follow the end of the program by so much
@@ -42,7 +42,6 @@ class UrLink:
         self._version: ControllerVersion | None = None
         self._stamps = Stamps()
         self._sampled_at = clock.now()
-        self._longest_gap = 0.0
 
     @property
     def is_open(self) -> bool:
@@ -67,7 +66,6 @@ class UrLink:
             self._control.start(deadline=START_DEADLINE)
         except ArmError as error:
             raise _start_problem(str(error)) from error
-        self._sampled_at, self._longest_gap = self._clock.now(), 0.0
 
     def _check_version(self) -> None:
         """Of the software, and whether it is to be controlled from here."""
@@ -119,13 +117,11 @@ class UrLink:
         if sample is None:
             self._control.kill()
             raise DeviceUnreachable(
-                f"no state came from the arm at {self._host} for 0.3 s and the connection is "
+                f"no state came from the arm at {self._host} for half a second, the connection is "
                 "given up: check cable and controller, then call recover()"
             )
-        now = self._clock.now()
-        self._longest_gap = max(self._longest_gap, now - self._sampled_at)
-        self._sampled_at = now
-        return replace(sample, stamp=self._stamps.stamp(sample.timestamp, now))
+        self._sampled_at = self._clock.now()
+        return replace(sample, stamp=self._stamps.stamp(sample.timestamp, self._sampled_at))
 
     def at_rest(self, *, until: float) -> Sample:
         """The first state in which the arm stands still. Raises DeviceTimeout."""
@@ -142,12 +138,19 @@ class UrLink:
     ) -> int:
         """Begin a motion; the number of the operation before it. Raises what forbids it."""
         before = self.sample()
-        self._longest_gap = 0.0
         if motion_problem(before):
             raise self.cause("before the motion")
         if not self._control.call(request, numbers, speed, acceleration):
             raise self.cause("at the start of the motion")
         return before.operation
+
+    def watch(self, motion: str) -> Sample:
+        """The next state while a motion is under way. Raises what has stopped it."""
+        last = self._sampled_at
+        sample = self.sample()
+        if motion_problem(sample):
+            raise self.cause(f"during {motion}", unwatched=self._sampled_at - last)
+        return sample
 
     def brake(self, deceleration: float) -> Sample:
         """Come to rest at `deceleration`, rad/s^2."""
@@ -172,10 +175,11 @@ class UrLink:
 
     # --- causes -------------------------------------------------------------------------------
 
-    def cause(self, when: str) -> ArmError:
+    def cause(self, when: str, *, unwatched: float = 0.0) -> ArmError:
         """Why the arm does not move, as a typed error; the program is stopped for good.
 
         States that come within a tenth of a second may name it better than the first.
+        unwatched: s for which nobody looked at the motion before it was found stopped.
         """
         for _ in range(CAUSE_SAMPLES):
             sample = self.sample()
@@ -190,18 +194,18 @@ class UrLink:
             return ArmError(f"no cause is reported {where}: look at the arm and its log")
         self.stop_program()
         if isinstance(problem, ProgramStopped):
-            problem = self._why_stopped() or problem
+            problem = self._why_stopped(unwatched) or problem
         return type(problem)(f"{problem} ({where})")
 
-    def _why_stopped(self) -> ArmError | None:
+    def _why_stopped(self, unwatched: float) -> ArmError | None:
         """What stops a program besides a person: local control, and the watchdog."""
         with contextlib.suppress(DeviceError):
             if self._is_local():
                 return _local_control()
-        if self._longest_gap > 1 / WATCHDOG:
+        if unwatched > 1 / WATCHDOG:
             return ArmError(
                 f"the controller's watchdog stopped the arm: this process did not look at it for "
-                f"{self._longest_gap:.2f} s ({1 / WATCHDOG:.2f} s are allowed): let `on_state` do "
+                f"{unwatched:.2f} s ({1 / WATCHDOG:.2f} s are allowed): let `on_state` do "
                 "less, or give the process more of the machine; then call recover()"
             )
         return None

@@ -24,6 +24,7 @@ def host(request: pytest.FixtureRequest) -> Iterator[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 class TestUrArm(ArmContract):
     @pytest.fixture
     def rig(self, host: str) -> ArmRig:

@@ -327,7 +327,7 @@ FAULTS = {
     "child-killed": Fault(provoke=signalled(signal.SIGKILL)),
     "child-crashed": Fault(provoke=signalled(signal.SIGSEGV)),
     "child-hangs": Fault(provoke=signalled(signal.SIGSTOP)),
-    "not-watched": Fault(provoke=under_way(lambda rig: time.sleep(0.6))),  # the fault itself
+    "not-watched": Fault(provoke=under_way(lambda rig: time.sleep(1.0))),  # the fault itself
     "caller-fails": Fault(provoke=under_way(caller_fails), then="move"),
     "ctrl-c": Fault(provoke=under_way(lambda rig: signal.raise_signal(signal.SIGINT)), then="move"),
     "stopped": Fault(
@@ -343,6 +343,7 @@ def test_every_row_is_injected() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 @pytest.mark.parametrize("row", rows(), ids=lambda row: f"{row.fault}-{row.on}")
 def test_fault(row: Row, rig: Rig) -> None:
     fault = FAULTS[row.fault]

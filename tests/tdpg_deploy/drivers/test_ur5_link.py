@@ -17,6 +17,7 @@ from tdpg_deploy.errors import ArmError, DeviceTimeout
 from tdpg_deploy.hal import ArmState
 
 PACE = 4.0
+pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tdpg_deploy.drivers.ur5_stamps import WINDOW, Stamps
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 0.05), min_size=2, max_size=100), st.floats(-1e9, 1e9))
 def test_delays_are_taken_out(delays: list[float], offset: float) -> None:
     """Stamps keep the spacing of the measurements once the least delay has been seen."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tdpg_deploy.emulators.ur_controller import rtde_wire as wire
@@ -63,6 +63,7 @@ def test_data_package() -> None:
     assert recipe.unpack(data[3:]) == {"a": -2, "b": [1.0, -2.0, 0.5]}
 
 
+@settings(deadline=None)
 @given(st.lists(PACKAGES, max_size=6), st.data())
 def test_split_does_not_depend_on_how_bytes_arrive(
     sent: list[Package], data: st.DataObject
@@ -75,6 +76,7 @@ def test_split_does_not_depend_on_how_bytes_arrive(
     assert left == b""
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from(FieldType), min_size=1, max_size=8), st.data())
 def test_recipe_round_trip(types: list[FieldType], data: st.DataObject) -> None:
     names = tuple(f"v{i}" for i in range(len(types)))
