@@ -35,7 +35,7 @@ def encode(value: object) -> bytes:
 def decode(kind: type[T] | types.UnionType, data: bytes) -> T:
     """The dataclass (or the member of the union `kind`) in `data`. Raises LogError."""
     try:
-        result: T = _reader(kind)(json.loads(data))
+        result: T = _reader(cast(Any, kind))(json.loads(data))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         name = getattr(kind, "__name__", str(kind))
         raise LogError(f"not a {name} document: {type(error).__name__}: {error}") from error

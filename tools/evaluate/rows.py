@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.entries import End
 from tdpg_deploy.episode_log.reader import read_episode
+from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.sim.scene_file import parse_scene
 from tools.evaluate.metrics import EpisodeRow
@@ -22,16 +24,18 @@ def read_row(path: Path, *, scene: str) -> EpisodeRow:
         raise LogError(f"{path}: the episode has no end: it was cut off")
     result = ends[-1].result
     about = episode.about
-    # On a real table nobody counts; a completed one held what was lifted from it.
-    objects = (
-        result.grasp_successes if about.scene is None else len(parse_scene(about.scene).objects)
-    )
     return EpisodeRow(
         scene=scene,
         seed=about.seed or 0,
         reason=result.reason,
-        objects=objects,
+        objects=objects_of(about, result),
         actions=result.actions,
         grasps=result.grasps,
         grasp_successes=result.grasp_successes,
     )
+
+
+def objects_of(about: About, result: EpisodeResult) -> int:
+    """How many lay on the table at the start. On a real one nobody counts; a completed one held
+    what was lifted from it."""
+    return result.grasp_successes if about.scene is None else len(parse_scene(about.scene).objects)

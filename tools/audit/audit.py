@@ -1,0 +1,56 @@
+"""What tdpg-audit does."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+from rich.progress import track
+
+from tdpg_deploy.errors import ConfigError
+from tools.audit.compare import compare
+from tools.audit.parquet import TableWriter, query
+from tools.audit.rows import AuditedLog
+from tools.audit.run import audit_logs, find_logs
+from tools.audit.summary import show_answer, show_comparison, show_summary
+from tools.audit.tally import Tally
+
+
+def audit(args: argparse.Namespace, console: Console) -> bool:
+    """Returns whether every file was a log. Raises TdpgError."""
+    if args.serve and args.html is None:
+        raise ConfigError("--serve shows what --html wrote: give --html DIR too")
+    with ExitStack() as stack:
+        tables = args.out or Path(stack.enter_context(TemporaryDirectory(prefix="tdpg-audit-")))
+        tally = _read(args.logs, tables, args.workers, console)
+        if args.sql is not None:
+            show_answer(console, query(tables, args.sql))
+        else:
+            show_summary(console, args.logs, tally)
+        if args.compare is not None:
+            _compare(args, tally, console)
+    return not tally.unreadable
+
+
+def _read(folder: Path, tables: Path, workers: int, console: Console) -> Tally:
+    logs = find_logs(folder)
+    tally = Tally()
+    audited = audit_logs(folder, logs, workers=min(workers, len(logs)))
+    with TableWriter(tables) as writer:
+        for log in track(audited, "reading", len(logs), console=console, transient=True):
+            tally.add(log)
+            if isinstance(log, AuditedLog):
+                writer.add(log)
+    return tally
+
+
+def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
+    with TemporaryDirectory(prefix="tdpg-audit-") as tables:
+        other = _read(args.compare, Path(tables), args.workers, console)
+    for folder, one in ((args.logs, tally), (args.compare, other)):
+        if not one.rows:
+            raise ConfigError(f"{folder}: no complete episode to compare")
+    show_comparison(console, args.logs, args.compare, compare(tally, other))
