@@ -223,7 +223,11 @@ ABOUT = About(
 
 
 def write(path: Path, calls: list[Call], *, now: Callable[[], float]) -> None:
-    with EpisodeWriter(path, ABOUT, now=now) as writer:
+    write_about(path, calls, ABOUT, now=now)
+
+
+def write_about(path: Path, calls: list[Call], about: About, *, now: Callable[[], float]) -> None:
+    with EpisodeWriter(path, about, now=now) as writer:
         for call in calls:
             call.make(writer)
 
