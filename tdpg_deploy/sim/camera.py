@@ -12,7 +12,7 @@ from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.errors import CameraError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Clock, Intrinsics, RgbdFrame
-from tdpg_deploy.sim.depth_noise import with_stereo_noise
+from tdpg_deploy.sim.depth_noise import Depth, with_stereo_noise
 from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.render import Lighting, render
 
@@ -28,6 +28,8 @@ COLOR_640 = Intrinsics(
     cx=(COLOR_1280.cx - 160 + 0.5) * 2 / 3 - 0.5,
     cy=(COLOR_1280.cy + 0.5) * 2 / 3 - 0.5,
 )
+
+DEPTH_UNIT = np.float32(0.001)  # m a count of the 16 bits of depth, as a D435 comes
 
 
 class VisibleWorld(Protocol):
@@ -74,7 +76,7 @@ class SimCamera:
         if simulation.depth_noise:
             depth = mean_depth(
                 [
-                    with_stereo_noise(seen.depth, seen.color, intrinsics, self._rng)
+                    as_counted(with_stereo_noise(seen.depth, seen.color, intrinsics, self._rng))
                     for _ in range(self._config.camera.frames_averaged)
                 ]
             )
@@ -87,6 +89,13 @@ class SimCamera:
             sequence=self._sequence,
             serial="simulated",
         )
+
+
+def as_counted(depth: Depth) -> Depth:
+    """Depth (m, nan where unknown) as it arrives over the wire: whole counts, 0 for unknown."""
+    counts = np.rint(np.nan_to_num(depth, nan=0.0, posinf=0.0) / DEPTH_UNIT)
+    counts[(counts < 1) | (counts > np.iinfo(np.uint16).max)] = np.nan
+    return np.asarray(counts * DEPTH_UNIT, np.float32)
 
 
 def true_pose(config: CellConfig) -> Transform:

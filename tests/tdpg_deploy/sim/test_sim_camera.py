@@ -9,7 +9,7 @@ from tdpg_deploy.errors import CameraError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.sim.bodies import box
-from tdpg_deploy.sim.camera import COLOR_640, COLOR_1280, SimCamera
+from tdpg_deploy.sim.camera import COLOR_640, COLOR_1280, SimCamera, as_counted
 from tdpg_deploy.sim.pieces import TABLE, ConvexPiece, VisiblePiece
 
 MOCK = load_cell(DEFAULT_CELL)
@@ -95,6 +95,17 @@ def test_a_seed_gives_the_same_frames_and_another_one_others() -> None:
     config = mock(depth_noise=True)
     assert np.array_equal(capture(config).depth, capture(config).depth, equal_nan=True)
     assert not np.array_equal(capture(config).depth, capture(config, 1).depth, equal_nan=True)
+
+
+def test_noisy_depth_comes_in_whole_millimetres() -> None:
+    """So a log keeps it in 16 bits, and exactly."""
+    depth = capture(mock(depth_noise=True)).depth
+    counts = np.nan_to_num(depth / np.float32(0.001)).round().astype(np.uint16)
+    again = np.where(counts == 0, np.float32(np.nan), counts * np.float32(0.001))
+    assert np.array_equal(depth, again, equal_nan=True)
+    few = as_counted(np.array([[np.nan, 0.0002, 0.0006, 0.7004, 65.5, 65.6, np.inf]], np.float32))
+    expected = np.array([[np.nan, np.nan, 0.001, 0.7, 65.5, np.nan, np.nan]], np.float32)
+    np.testing.assert_allclose(few, expected, rtol=1e-6)
 
 
 def test_frames_differ_and_averaging_steadies_them() -> None:
