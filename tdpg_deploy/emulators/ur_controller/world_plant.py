@@ -36,7 +36,7 @@ class WorldPlant:
     def __init__(self, world: World, *, before_step: Callable[[], None] = lambda: None) -> None:
         self._world, self._robot, self._before_step = world, world.robot, before_step
         self._tip = np.append(world.config.arm.X_flange_tool.transform().translation, 1.0)
-        self._q_target = self.q
+        self._q_target, self._qd = self.q, np.zeros(6)
         self._ahead = 0.0  # s of the controller that the world has not been stepped for yet
         self._obstacle: _Obstacle | None = None
 
@@ -46,7 +46,8 @@ class WorldPlant:
 
     @property
     def qd(self) -> Array:
-        return self._robot.joints()[1]
+        # Bullet's own speeds stay above zero for ever where an arm has come to rest.
+        return self._qd
 
     @property
     def force(self) -> Array:
@@ -68,8 +69,10 @@ class WorldPlant:
             self._obstacle = None  # the target has come back
         held = self._obstacle is not None
         self._robot.drive((self._obstacle.q if self._obstacle else q_target).tolist())
+        before = self.q
         self._before_step()
         self._world.step()
+        self._qd = (self.q - before) / TIME_STEP
         force = self._robot.force()
         pressed = float(np.linalg.norm(force))
         if not held and pressed > RIGID:
