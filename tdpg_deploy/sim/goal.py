@@ -11,11 +11,32 @@ import numpy.typing as npt
 from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.sim.camera import true_pose
 from tdpg_deploy.sim.render import render
-from tdpg_deploy.sim.world import World
+from tdpg_deploy.sim.world import Where, World
 
 
-def goal_pixels(world: World, frame: RgbdFrame, goals: Collection[int]) -> npt.NDArray[np.bool_]:
-    """(H, W): pixels of `frame` that show one of the scene's objects `goals`. The world must not
-    have moved since the frame was taken."""
-    owner = render(world.visible(), frame.intrinsics, true_pose(world.config)).owner
-    return np.isin(owner, list(goals))
+class GoalDetector:
+    """goals: the scene's objects to fetch; may be changed between episodes.
+
+    The world must not have moved since a frame was taken.
+    """
+
+    def __init__(self, world: World, goals: Collection[int]) -> None:
+        self.goals = goals
+        self._world = world
+
+    def __call__(self, frame: RgbdFrame) -> npt.NDArray[np.bool_]:
+        """(H, W): pixels of `frame` that show one of the goals."""
+        return np.isin(self._owner(frame), list(self.goals))
+
+    def in_sight(self, frame: RgbdFrame, *, pixels: int) -> list[int]:
+        """Objects in the workspace that so many pixels of `frame` show, or more."""
+        owner = self._owner(frame)
+        return [
+            state.index
+            for state in self._world.objects()
+            if state.where is Where.WORKSPACE and int((owner == state.index).sum()) >= pixels
+        ]
+
+    def _owner(self, frame: RgbdFrame) -> npt.NDArray[np.int16]:
+        world = self._world
+        return render(world.visible(), frame.intrinsics, true_pose(world.config)).owner
