@@ -14,35 +14,60 @@ from policies.networks.light import LightNet
 from tdpg_deploy.errors import ConfigError
 from tools.train import trainer
 from tools.train.cli import EXPERIMENTS
-from tools.train.config import Learning, Randomization, Rollout, TrainConfig, load_train_config
+from tools.train.config import (
+    Evaluation,
+    Learning,
+    PushReward,
+    Randomization,
+    Rollout,
+    Stage,
+    TrainConfig,
+    load_train_config,
+    overridden,
+    stage_after,
+)
+from tools.train.curve import Progress, read_curve
 from tools.train.rollout import RolloutTask, play
 
 SMALL = TrainConfig(
-    actions=12,
     width=4,
-    rollout=Rollout(workers=1, actions=4, min_objects=2, max_objects=3),
-    learning=Learning(batch=4, warmup=2, updates_per_action=0.5),
+    stages=(
+        Stage(kind="grasp", actions=3, min_objects=2, max_objects=3),
+        Stage(kind="push", actions=4, min_objects=4, max_objects=4),
+        Stage(kind="synergy", actions=3, min_objects=3, max_objects=3),
+    ),
+    rollout=Rollout(workers=1, actions=4),
+    learning=Learning(batch=4, warmup=2, updates_per_action=0.5, next_grasps=2),
+    evaluation=Evaluation(every=10, episodes=1, objects=1),
 )
 
 
 @pytest.mark.slow
 def test_a_run_that_was_killed_ends_like_one_that_was_not(tmp_path: Path) -> None:
-    whole: list[trainer.Progress] = []
+    whole: list[Progress] = []
     straight = trainer.train(SMALL, tmp_path / "straight", on_progress=whole.append)
 
-    def killed(progress: trainer.Progress) -> None:
+    def killed(progress: Progress) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         trainer.train(SMALL, tmp_path / "killed", on_progress=killed)
-    rest: list[trainer.Progress] = []
+    rest: list[Progress] = []
     resumed = trainer.train(SMALL, tmp_path / "killed", on_progress=rest.append)
 
-    assert [progress.round for progress in whole] == [1, 2, 3]
-    assert repr(rest) == repr(whole[1:])
+    assert [(line.stage, line.actions) for line in whole] == [
+        ("grasp", 3),
+        ("push", 7),
+        ("synergy", 10),
+    ]
+    assert [line.validation is not None for line in whole] == [False, False, True]
+    assert rest == whole[1:]
+    lines = read_curve(tmp_path / "killed")
+    assert lines == [dataclasses.asdict(line) for line in whole]
     expected, actual = load_checkpoint(straight).weights, load_checkpoint(resumed).weights
     for name, weight in expected.items():
         torch.testing.assert_close(actual[name], weight, rtol=0, atol=0)
+    assert load_checkpoint(straight).config.method == "tdpg"
 
 
 @pytest.mark.slow
@@ -55,8 +80,9 @@ def test_the_same_task_gives_the_same_experience(tmp_path: Path) -> None:
         cell=trainer.training_cell(),
         randomization=Randomization(),
         seed=(3, 1),
+        push_reward=PushReward(),
+        stage=Stage(kind="grasp", actions=3, min_objects=3, max_objects=3),
         actions=3,
-        objects=(3, 3),
         epsilon=0.5,
     )
     first, again = play(task), play(task)

@@ -5,7 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tools.train.curve import Progress as Round
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
 
@@ -14,15 +19,17 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="tdpg-train",
         description=__doc__,
-        epilog="The same command goes on with a run that was interrupted. exit codes: 0 trained; "
+        epilog="Without --stage and --experiment: all stages of the paper, at its budget. "
+        "The same command goes on with a run that was interrupted. exit codes: 0 trained; "
         "2 bad input; 130 interrupted, the last round is saved",
     )
     which = p.add_mutually_exclusive_group()
     which.add_argument(
-        "--stage", choices=["grasp"], default="grasp", help="the paper's stage, at its budget"
+        "--stage", choices=["grasp", "push", "synergy"], help="one of the paper's, at its budget"
     )
     which.add_argument("--experiment", type=Path, metavar="FILE", help="an experiment's TOML file")
-    p.add_argument("--actions", type=int, metavar="N", help="instead of the experiment's")
+    p.add_argument("--from", type=Path, dest="start", metavar="FILE", help="policy to begin with")
+    p.add_argument("--actions", type=int, metavar="N", help="of each stage, not the experiment's")
     p.add_argument("--seed", type=int, metavar="N", help="instead of the experiment's")
     p.add_argument("--workers", type=int, metavar="N", help="processes that play")
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="of this run")
@@ -41,37 +48,39 @@ def main(argv: Sequence[str] | None = None) -> int:
         TimeRemainingColumn,
     )
 
+    from policies.errors import PolicyError
     from tdpg_deploy.errors import TdpgError
     from tools.train import trainer
     from tools.train.config import load_train_config, overridden
 
     console = Console()
     try:
-        file = args.experiment or EXPERIMENTS / f"{args.stage}.toml"
+        file = args.experiment or EXPERIMENTS / f"{args.stage or 'tdpg'}.toml"
         config = overridden(
-            load_train_config(file), actions=args.actions, seed=args.seed, workers=args.workers
+            load_train_config(file),
+            actions=args.actions,
+            seed=args.seed,
+            workers=args.workers,
+            start=args.start,
         )
         with Progress(
-            TextColumn("round {task.fields[round]}"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("success {task.fields[success]:.2f}  loss {task.fields[loss]:.3f}"),
+            TextColumn("{task.description}"),
             TimeRemainingColumn(),
             console=console,
         ) as bar:
-            task = bar.add_task("", total=config.actions, round=0, success=0.0, loss=0.0)
+            task = bar.add_task("first round", total=config.actions)
+            judged = None
 
-            def show(progress: trainer.Progress) -> None:
-                bar.update(
-                    task,
-                    completed=min(progress.actions, config.actions),
-                    round=progress.round,
-                    success=progress.success,
-                    loss=progress.huber,
-                )
+            def show(done: Round) -> None:
+                nonlocal judged
+                judged = done.validation or judged
+                line = _line(replace(done, validation=judged))
+                bar.update(task, completed=done.actions, description=line)
 
             policy = trainer.train(config, args.out, on_progress=show)
-    except TdpgError as error:
+    except (TdpgError, PolicyError) as error:
         console.print(str(error), style="red", markup=False)
         return 2
     except KeyboardInterrupt:
@@ -81,6 +90,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     console.print(f"policy: {policy}")
     return 0
+
+
+def _line(done: Round) -> str:
+    """The live line; "-" where there is no figure."""
+    figures = {
+        "grasps": done.grasp_success,
+        "pushes": done.push_reward,
+        "loss": done.huber,
+        "validation": None if done.validation is None else done.validation.grasp_success,
+    }
+    told = (f"{name} {'-' if x is None else format(x, '.2f')}" for name, x in figures.items())
+    return f"round {done.round}, {done.stage}: " + "  ".join(told)
 
 
 if __name__ == "__main__":

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from tdpg_deploy.errors import ConfigError
 
@@ -15,20 +15,54 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+StageKind: TypeAlias = Literal["grasp", "push", "synergy"]
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Stage(_Section):
+    """Paper, section III-C. grasp (I): grasps only. push (II): a push and its validation grasp
+    in turn. synergy (III): whatever the policy chooses. Every push and every grasp counts as
+    one of the stage's actions."""
+
+    kind: StageKind
+    actions: int = Field(ge=1)
+    min_objects: int = Field(10, ge=1, le=30)
+    max_objects: int = Field(10, ge=1, le=30)
+
+    @model_validator(mode="after")
+    def _least_is_not_above_most(self) -> Stage:
+        if self.min_objects > self.max_objects:
+            raise ValueError(
+                f"min_objects = {self.min_objects} exceeds max_objects = {self.max_objects}"
+            )
+        return self
+
+
 class Rollout(_Section):
-    """How experience is gathered, in rounds: every worker plays with the same frozen weights."""
+    """How experience is gathered, in rounds: every worker plays with the same frozen weights.
+
+    Epsilon falls evenly over the whole run.
+    """
 
     workers: int = Field(2, ge=1, le=64)
     actions: int = Field(24, ge=1, description="of each worker in a round")
-    min_objects: int = Field(10, ge=1, le=30)
-    max_objects: int = Field(10, ge=1, le=30)
     epsilon_start: float = Field(0.5, ge=0, le=1)  # paper, section III-D
     epsilon_end: float = Field(0.1, ge=0, le=1)
+
+
+class PushReward(_Section):
+    """What a push is worth: the sum of what holds. A grasp is worth 1 if it succeeds.
+
+    rose: the best grasp's value rose (paper, eq. 3). validated: the grasp that followed
+    succeeded (eq. 4). changed: something moved (VPG; nothing in this paper).
+    """
+
+    rose: float = Field(0.5, ge=0)
+    validated: float = Field(0.5, ge=0)
+    changed: float = Field(0.0, ge=0)
 
 
 class Randomization(_Section):
@@ -54,23 +88,49 @@ class Learning(_Section):
     betas: tuple[float, float] = (0.9, 0.99)
     weight_decay: float = Field(2e-5, ge=0)
     discount: float = Field(0.5, ge=0, lt=1)
+    next_grasps: int = Field(
+        10, ge=1, le=10, description="best of the next look whose values are refreshed"
+    )
     batch: int = Field(64, ge=1)
     updates_per_action: float = Field(1.0, gt=0)
     warmup: int = Field(64, ge=1, description="transitions before the first update")
-    priority_exponent: float = Field(0.6, ge=0, le=1)  # Schaul et al. 2016, alpha
+    priority_exponent: float = Field(0.6, ge=0, le=1)  # Schaul et al. 2016, alpha; 0: uniform
     importance_exponent: float = Field(0.4, ge=0, le=1)  # beta at the start; ends at 1
 
 
-class TrainConfig(_Section):
-    """actions: how many the whole run executes. width: of the light network, at stride 2."""
+class Evaluation(_Section):
+    """Greedy episodes on tables that are for validation only, after every `every` actions.
 
-    stage: Literal["grasp"] = "grasp"
+    seed: of the first table; tdpg-eval's begin at 10,000.
+    """
+
+    every: int = Field(1000, ge=1)
+    episodes: int = Field(4, ge=0, description="0: none")
+    objects: int = Field(20, ge=1, le=30)
+    seed: int = Field(5000, ge=0)
+
+
+class TrainConfig(_Section):
+    """width: of the light network, at stride 2. goal: fetch objects instead of clearing the
+    table. critic_two: train it, and let it have its say (else TDPG-base). start: a policy file
+    whose weights the run begins with."""
+
     seed: int = 0
-    actions: int = Field(1000, ge=1)
     width: int = Field(16, ge=4, le=64)
+    goal: bool = False
+    critic_two: bool = True
+    start: Path | None = None
+    stages: tuple[Stage, ...] = Field(min_length=1)
     rollout: Rollout = Rollout()
+    push_reward: PushReward = PushReward()
     randomization: Randomization = Randomization()
     learning: Learning = Learning()
+    evaluation: Evaluation = Evaluation()
+
+    @property
+    def actions(self) -> int:
+        """Of the whole run."""
+        return sum(stage.actions for stage in self.stages)
 
 
 def load_train_config(path: Path) -> TrainConfig:
@@ -82,16 +142,35 @@ def load_train_config(path: Path) -> TrainConfig:
 
 
 def overridden(
-    config: TrainConfig, *, actions: int | None, seed: int | None, workers: int | None
+    config: TrainConfig,
+    *,
+    actions: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    start: Path | None = None,
 ) -> TrainConfig:
-    """The same experiment but for what is not None. Raises ConfigError."""
+    """The same experiment but for what is not None; actions are those of each stage.
+    Raises ConfigError."""
     data = config.model_dump()
-    data |= {
-        name: value for name, value in (("actions", actions), ("seed", seed)) if value is not None
-    }
+    if actions is not None:
+        for stage in data["stages"]:
+            stage["actions"] = actions
+    if seed is not None:
+        data["seed"] = seed
     if workers is not None:
         data["rollout"]["workers"] = workers
+    if start is not None:
+        data["start"] = start.absolute()
     try:
         return TrainConfig.model_validate(data)
     except ValidationError as error:
         raise ConfigError(str(error)) from error
+
+
+def stage_after(config: TrainConfig, actions: int) -> tuple[Stage, int]:
+    """The stage that follows when so many actions were made, and how many are left of it."""
+    for stage in config.stages:
+        if actions < stage.actions:
+            return stage, stage.actions - actions
+        actions -= stage.actions
+    raise ValueError(f"the experiment ends after {config.actions} actions")

@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from policies.decide import Choice, to_primitive
+from policies.decide import Choice, best, to_primitive
+from policies.errors import NoActionError
 from policies.heightmap import Heightmap
-from policies.learned import LearnedPolicy
-from policies.policy import Decision
+from policies.policy import Decider, Decision, QMaps
 from policies.primitives import Primitive
+from tools.train.config import StageKind
+
+Kind = Literal["grasp", "push"]
 
 
 class Exploring:
-    """The policy's decision, or with probability epsilon any allowed action.
+    """What the stage asks for: the policy's choice, the best action of one kind, or with
+    probability epsilon any action that is allowed.
 
-    Only actions of the kind that the policy chose from are drawn, each with equal chance.
+    An explored action is of a random kind, and any of that kind with equal chance. What follows
+    a push validates it, so nothing is explored there; in the push stage it is the best grasp.
     """
 
-    def __init__(self, policy: LearnedPolicy, epsilon: float) -> None:
+    def __init__(
+        self, policy: Decider, stage: StageKind, epsilon: float, *, pushed: Callable[[], bool]
+    ) -> None:
+        """pushed: whether the action before was a push."""
         self._policy = policy
+        self._stage = stage
         self._epsilon = epsilon
+        self._pushed = pushed
 
     def decide(
         self, heightmap: Heightmap, rng: np.random.Generator, *, avoid: Sequence[Primitive] = ()
     ) -> Decision:
         decision = self._policy.decide(heightmap, rng, avoid=avoid)
-        if rng.random() >= self._epsilon:
+        validating = self._pushed()
+        kinds = _kinds(self._stage, validating)
+        if not validating and rng.random() < self._epsilon:
+            choice = any_action(decision.maps, kinds, rng)
+        elif len(kinds) == 1:
+            choice = best(_values(decision.maps, kinds[0]), kinds[0], rng)
+        else:
             return decision
-        choice = _any_grasp(decision, rng)
+        if choice is None:
+            raise NoActionError(f"no {' or '.join(kinds)} is allowed: nothing is left to learn")
         return replace(
             decision,
             primitive=to_primitive(choice, heightmap),
@@ -42,9 +61,24 @@ class Exploring:
         )
 
 
-def _any_grasp(decision: Decision, rng: np.random.Generator) -> Choice:
-    values = decision.maps.grasp
-    allowed = np.flatnonzero(np.isfinite(values))
-    place = np.unravel_index(rng.choice(allowed), values.shape)
+def any_action(maps: QMaps, kinds: Sequence[Kind], rng: np.random.Generator) -> Choice | None:
+    """Of a random kind among those with allowed actions, any with equal chance."""
+    allowed = {kind: np.flatnonzero(np.isfinite(_values(maps, kind))) for kind in kinds}
+    possible = [kind for kind in kinds if allowed[kind].size]
+    if not possible:
+        return None
+    kind = possible[rng.integers(len(possible))]
+    values = _values(maps, kind)
+    place = np.unravel_index(rng.choice(allowed[kind]), values.shape)
     rotation, row, col = (int(index) for index in place)
-    return Choice(kind="grasp", rotation=rotation, row=row, col=col, q=float(values[place]))
+    return Choice(kind=kind, rotation=rotation, row=row, col=col, q=float(values[place]))
+
+
+def _kinds(stage: StageKind, validating: bool) -> tuple[Kind, ...]:
+    if stage == "synergy":
+        return ("grasp", "push")
+    return ("push",) if stage == "push" and not validating else ("grasp",)
+
+
+def _values(maps: QMaps, kind: Kind) -> npt.NDArray[np.float32]:
+    return maps.grasp if kind == "grasp" else maps.push

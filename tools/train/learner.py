@@ -14,15 +14,19 @@ from policies.networks.light import LightNet
 from policies.rotation import patches
 from policies.state import BLUE, RED, encode
 from tools.train.config import Learning
-from tools.train.replay import Replay, unpack_height
+from tools.train.replay import Replay, unpack_goal, unpack_height
 
 
 class Learner:
-    """Network and optimiser. Randomness comes from the generator that is passed in."""
+    """Network and optimiser. Randomness comes from the generator that is passed in.
 
-    def __init__(self, network: LightNet, learning: Learning) -> None:
+    critic_two: whether EvaluationNet learns too.
+    """
+
+    def __init__(self, network: LightNet, learning: Learning, *, critic_two: bool = True) -> None:
         self.network = network
         self._learning = learning
+        self._critic_two = critic_two
         self._optimizer = torch.optim.Adam(
             network.parameters(),
             lr=learning.learning_rate,
@@ -67,15 +71,16 @@ class Learner:
         cuts = cuts.contiguous(memory_format=torch.channels_last)
         push, grasp, logits = self.network.at(cuts, places)
         q = torch.where(torch.from_numpy(batch["push"].copy()), push, grasp)
-        critic_one = (torch.from_numpy(weights) * F.huber_loss(q, target, reduction="none")).mean()
+        loss = critic_one = (
+            torch.from_numpy(weights) * F.huber_loss(q, target, reduction="none")
+        ).mean()
 
-        tried = torch.from_numpy(batch["grasped"] >= 0)
-        label = torch.from_numpy(batch["grasped"].astype(np.float32)).clamp(min=0)
-        doubt = F.binary_cross_entropy_with_logits(logits, label, reduction="none")
-        critic_two = (doubt * tried).sum() / tried.sum().clamp(min=1)
+        critic_two = _doubt(logits, batch["grasped"])
+        if self._critic_two:
+            loss = loss + critic_two
 
         self._optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(critic_one + critic_two)
+        torch.autograd.backward(loss)
         self._optimizer.step()
         error = (q - target).detach()
         replay.reprioritize(picks, error.numpy())
@@ -87,13 +92,14 @@ class Learner:
 
     @torch.no_grad()
     def value_of_next(self, replay: Replay, batch: npt.NDArray[np.void]) -> torch.Tensor:
-        """max Q_grasp(s', a') over the ten grasps that were best when s' was seen (paper, eq. 1):
-        the stored label is refreshed with today's weights."""
+        """max Q_grasp(s', a') over the grasps that were best when s' was seen (paper, eq. 1): the
+        stored label is refreshed with today's weights."""
         value = torch.zeros(len(batch))
         going_on = np.flatnonzero(batch["next_look"] >= 0)
         if going_on.size == 0:
             return value
-        actions = batch["next_grasps"][going_on].astype(np.int64)
+        best = batch["next_grasps"][going_on, : self._learning.next_grasps]
+        actions = best.astype(np.int64)
         count = actions.shape[1]
         states = _states(replay, batch["next_look"][going_on])
         cuts, places = patches(
@@ -118,10 +124,21 @@ def _states(replay: Replay, looks: npt.NDArray[np.int32]) -> torch.Tensor:
             workspace=_ANYWHERE,
             color=np.asarray(replay.colors[look]),
             height=unpack_height(replay.heights[look]),
+            goal=None if replay.goals is None else unpack_goal(replay.goals[look]),
         )
         for look in looks
     )
-    return torch.stack([encode(heightmap, goal=False) for heightmap in heightmaps])
+    goal = replay.goals is not None
+    return torch.stack([encode(heightmap, goal=goal) for heightmap in heightmaps])
+
+
+def _doubt(logits: torch.Tensor, grasped: npt.NDArray[np.int8]) -> torch.Tensor:
+    """Binary cross-entropy of Critic II over the grasps of a batch (paper, section III-D).
+    grasped: 1, 0, or -1 where no grasp was tried."""
+    tried = torch.from_numpy(grasped >= 0)
+    label = torch.from_numpy(grasped.astype(np.float32)).clamp(min=0)
+    each = F.binary_cross_entropy_with_logits(logits, label, reduction="none")
+    return (each * tried).sum() / tried.sum().clamp(min=1)
 
 
 def augmented(

@@ -48,10 +48,22 @@ def unpack_height(packed: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
     return height.astype(np.float32)
 
 
-class Replay:
-    """Looks and transitions in a directory; `capacity` of each at most."""
+def pack_goal(goal: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """(224, 224) -> (224, 28): eight pixels a byte."""
+    return np.packbits(goal, axis=1)
 
-    def __init__(self, directory: Path, capacity: int) -> None:
+
+def unpack_goal(packed: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    return np.unpackbits(packed, axis=1).astype(np.bool_)
+
+
+class Replay:
+    """Looks and transitions in a directory; `capacity` of each at most.
+
+    goals: None where tables are cleared.
+    """
+
+    def __init__(self, directory: Path, capacity: int, *, goal: bool = False) -> None:
         directory.mkdir(parents=True, exist_ok=True)
 
         def array(name: str, dtype: npt.DTypeLike, *shape: int) -> np.memmap[Any, Any]:
@@ -60,6 +72,7 @@ class Replay:
 
         self.heights = array("heights.u16", np.uint16, SIZE, SIZE)
         self.colors = array("colors.u8", np.uint8, SIZE, SIZE, 3)
+        self.goals = array("goals.bits", np.uint8, SIZE, SIZE // 8) if goal else None
         self.transitions = array("transitions.bin", TRANSITION)
         self.priorities = np.zeros(capacity, np.float32)
         self.looks = 0
@@ -67,8 +80,9 @@ class Replay:
 
     def state(self) -> dict[str, Any]:
         """What must be saved with the weights; the arrays themselves are on disk by now."""
-        for array in (self.heights, self.colors, self.transitions):
-            array.flush()
+        for array in (self.heights, self.colors, self.goals, self.transitions):
+            if array is not None:
+                array.flush()
         return {
             "looks": self.looks,
             "size": self.size,
@@ -85,6 +99,7 @@ class Replay:
         heights: npt.NDArray[np.uint16],
         colors: npt.NDArray[np.uint8],
         transitions: npt.NDArray[np.void],
+        goals: npt.NDArray[np.uint8] | None = None,
     ) -> None:
         """Add packed looks, and transitions whose looks are indices into them.
 
@@ -93,6 +108,9 @@ class Replay:
         looks = slice(self.looks, self.looks + len(heights))
         added = slice(self.size, self.size + len(transitions))
         self.heights[looks], self.colors[looks] = heights, colors
+        if self.goals is not None:
+            assert goals is not None, "each look of this run shows a goal"
+            self.goals[looks] = goals
         transitions = transitions.copy()
         transitions["look"] += self.looks
         transitions["next_look"] += np.where(transitions["next_look"] >= 0, self.looks, 0)

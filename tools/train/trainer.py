@@ -6,43 +6,22 @@ state saved after the round before, so a run that was killed goes on as if it ha
 
 from __future__ import annotations
 
-import copy
 import json
-import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
 
-from policies.checkpoint import PolicyConfig, save_checkpoint
-from policies.networks.light import LightNet
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.errors import ConfigError
 from tools.train.config import TrainConfig
-from tools.train.learner import Learner
-from tools.train.replay import Replay
-from tools.train.rollout import Experience, RolloutTask, play
-
-STATE = "state.pt"
-WEIGHTS = "policy.safetensors"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """One line of the curve. success: share of this round's actions that succeeded."""
-
-    round: int
-    actions: int
-    updates: int
-    success: float
-    huber: float
-    bce: float
+from tools.train.curve import Curve, Progress
+from tools.train.judge import judge, summed_up
+from tools.train.rollout import play
+from tools.train.run import Run
 
 
 def train(config: TrainConfig, directory: Path, *, on_progress: Callable[[Progress], None]) -> Path:
@@ -52,18 +31,27 @@ def train(config: TrainConfig, directory: Path, *, on_progress: Callable[[Progre
     """
     directory.mkdir(parents=True, exist_ok=True)
     _claim(directory, config)
-    run = _Run(config, directory)
+    run = Run(config, directory)
     cell = training_cell()
     torch.set_num_threads(1)  # the other cores play
-    with ProcessPoolExecutor(
-        config.rollout.workers, mp_context=get_context("spawn"), initializer=_quiet
-    ) as workers:
-        playing = workers.map(play, run.tasks(cell))
+    with (
+        ProcessPoolExecutor(
+            config.rollout.workers, mp_context=get_context("spawn"), initializer=_quiet
+        ) as workers,
+        Curve(directory, round=run.round) as curve,
+    ):
+        tasks = [] if run.done else run.tasks(cell)
+        playing = workers.map(play, tasks)
         while not run.done:
-            gained = run.remember(list(playing))
+            played, experiences = tasks, list(playing)
+            run.remember(played, experiences)
             if not run.done:
-                playing = workers.map(play, run.tasks(cell))
-            progress = run.learn(gained)
+                tasks = run.tasks(cell)
+                playing = workers.map(play, tasks)
+            progress = run.learn(played, experiences)
+            judged = workers.map(judge, run.judgements(cell, played))
+            progress = replace(progress, validation=summed_up(list(judged)))
+            curve.add(progress)
             run.save()
             on_progress(progress)
     return run.freeze()
@@ -105,128 +93,3 @@ def _quiet() -> None:
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-class _Run:
-    """What a run has come to. `actor`: the weights that play the round after the last one
-    remembered; they have not learnt from that one yet."""
-
-    def __init__(self, config: TrainConfig, directory: Path) -> None:
-        self._config = config
-        self._directory = directory
-        round_size = config.rollout.workers * config.rollout.actions
-        self._replay = Replay(directory / "replay", 2 * (config.actions + round_size))
-        self._policy = PolicyConfig(
-            network="light", width=config.width, goal=False, method="grasp-only"
-        )
-        torch.manual_seed(config.seed)
-        self._actor = LightNet(goal=False, width=config.width)
-        self._learner = Learner(copy.deepcopy(self._actor), config.learning)
-        self._round = 0
-        self._updates = 0
-        file = directory / STATE
-        if file.exists():
-            state = torch.load(file, weights_only=True)
-            self._actor.load_state_dict(state["actor"])
-            self._learner.restore(state["learner"])
-            self._replay.restore(state["replay"])
-            self._round, self._updates = state["round"], state["updates"]
-
-    @property
-    def done(self) -> bool:
-        return self._replay.size >= self._config.actions
-
-    @property
-    def _share(self) -> float:
-        """Of the run that is done, 0 to 1."""
-        return min(1.0, self._replay.size / self._config.actions)
-
-    def freeze(self) -> Path:
-        """The weights learnt so far, as a policy file with its provenance."""
-        path = self._directory / WEIGHTS
-        save_checkpoint(path, self._learner.network, self._policy, self._provenance())
-        return path
-
-    def tasks(self, cell: CellConfig) -> list[RolloutTask]:
-        """The next round."""
-        weights = self._directory / f"playing-{self._round % 2}.safetensors"
-        save_checkpoint(weights, self._actor, self._policy, self._provenance())
-        rollout = self._config.rollout
-        return [
-            RolloutTask(
-                weights=weights,
-                cell=cell,
-                randomization=self._config.randomization,
-                seed=(self._config.seed, self._round, worker),
-                actions=rollout.actions,
-                objects=(rollout.min_objects, rollout.max_objects),
-                epsilon=_between(rollout.epsilon_start, rollout.epsilon_end, self._share),
-            )
-            for worker in range(rollout.workers)
-        ]
-
-    def remember(self, experiences: list[Experience]) -> list[Experience]:
-        """End a round: keep what was lived through, and let the next one be played with what
-        has been learnt up to here."""
-        for experience in experiences:
-            self._replay.extend(experience.heights, experience.colors, experience.transitions)
-        self._actor = copy.deepcopy(self._learner.network)
-        self._round += 1
-        return experiences
-
-    def learn(self, gained: list[Experience]) -> Progress:
-        """As many updates as the round's actions pay for."""
-        learning = self._config.learning
-        rewards = np.concatenate([experience.transitions["reward"] for experience in gained])
-        updates = int(len(rewards) * learning.updates_per_action)
-        if self._replay.size < learning.warmup:
-            updates = 0
-        self._learner.set_learning_rate(self._learning_rate())
-        importance = _between(learning.importance_exponent, 1.0, self._share)
-        rng = np.random.default_rng((self._config.seed, self._round))
-        losses = [
-            self._learner.update(self._replay, rng, importance=importance) for _ in range(updates)
-        ]
-        self._updates += updates
-        return Progress(
-            round=self._round,
-            actions=self._replay.size,
-            updates=self._updates,
-            success=float(rewards.mean()),
-            huber=_mean([loss["huber"] for loss in losses]),
-            bce=_mean([loss["bce"] for loss in losses]),
-        )
-
-    def save(self) -> None:
-        """All at once: a kill leaves the state of this round or of the one before."""
-        state = {
-            "actor": self._actor.state_dict(),
-            "learner": self._learner.state(),
-            "replay": self._replay.state(),
-            "round": self._round,
-            "updates": self._updates,
-        }
-        part = self._directory / (STATE + ".part")
-        torch.save(state, part)
-        os.replace(part, self._directory / STATE)
-
-    def _learning_rate(self) -> float:
-        learning = self._config.learning
-        half_cosine = (1 - math.cos(math.pi * self._share)) / 2
-        return _between(learning.learning_rate, learning.last_learning_rate, half_cosine)
-
-    def _provenance(self) -> dict[str, Any]:
-        return {
-            "command": f"tdpg-train --stage {self._config.stage}",
-            "experiment": self._config.model_dump(mode="json"),
-            "actions": self._replay.size,
-            "updates": self._updates,
-        }
-
-
-def _between(first: float, last: float, share: float) -> float:
-    return first + (last - first) * share
-
-
-def _mean(values: list[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")

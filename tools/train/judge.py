@@ -1,0 +1,70 @@
+"""Validation while training: a greedy episode on a table that nothing is learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from policies.checkpoint import load_checkpoint
+from tdpg_deploy.cell import open_cell
+from tdpg_deploy.cell_config import CellConfig
+from tdpg_deploy.episode import run_episode
+from tdpg_deploy.episode_record import NullRecorder
+from tdpg_deploy.sim.scenes import Scene, random_scene
+from tdpg_deploy.workspace import workspace_of
+from tools.evaluate.metrics import EpisodeRow, evaluate
+from tools.train.curve import Validation
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgeTask:
+    weights: Path
+    cell: CellConfig
+    objects: int
+    seed: int
+
+
+def judge(task: JudgeTask) -> EpisodeRow:
+    """One episode. With a goal, one random object is to be fetched."""
+    import torch
+
+    torch.set_num_threads(1)  # one core a worker
+    policy = load_checkpoint(task.weights).policy()
+    rng = np.random.default_rng(task.seed)
+    scene = random_scene(task.objects, workspace_of(task.cell), rng)
+    if policy.goal:
+        scene = _with_goal(scene, int(rng.integers(task.objects)))
+    with open_cell(task.cell, scene=scene, seed=task.seed) as cell:
+        result = run_episode(cell, policy, rng=rng, log=NullRecorder(), goal=policy.goal)
+    return EpisodeRow(
+        scene=f"random {task.objects}",
+        seed=task.seed,
+        reason=result.reason,
+        objects=1 if policy.goal else task.objects,
+        actions=result.actions,
+        grasps=result.grasps,
+        grasp_successes=result.grasp_successes,
+    )
+
+
+def summed_up(rows: Sequence[EpisodeRow]) -> Validation | None:
+    """None of no episodes."""
+    if not rows:
+        return None
+    metrics = evaluate(rows)
+    figures = metrics.of_all
+    return Validation(
+        completion=metrics.completion.value,
+        grasp_success=figures.grasp_success.value,
+        efficiency=figures.action_efficiency.value,
+        motions=figures.motions.value,
+    )
+
+
+def _with_goal(scene: Scene, goal: int) -> Scene:
+    objects = list(scene.objects)
+    objects[goal] = replace(objects[goal], goal=True)
+    return Scene(objects=tuple(objects))
