@@ -71,7 +71,8 @@ def detect(picture: npt.NDArray[np.uint8], target: CharucoTarget) -> Detection:
             "and the sizes of square and marker"
         )
     if ids is None or len(ids) < 4:
-        if cv2.aruco.CharucoDetector(other).detectBoard(grey)[1] is not None:
+        fitting = cv2.aruco.CharucoDetector(other).detectBoard(grey)[1]
+        if fitting is not None and len(fitting) > LEAST_SHARE * len(target.corners()):
             return _nothing(f"wrong board: it fits with legacy = {not target.legacy}")
         return _nothing(f"partial: {len(seen_ids)} markers of the board are seen, no corners")
     found_ids = np.asarray(ids, np.int64).reshape(-1)

@@ -129,6 +129,12 @@ def chi_squares(estimate: Estimate, seen: Observations, noise: Noise) -> Array:
     return _terms(linearise(estimate, seen), noise).chi2
 
 
+def view_information(estimate: Estimate, seen: Observations, noise: Noise) -> Array:
+    """(V, 12, 12) what each view tells about both poses."""
+    information = _terms(linearise(estimate, seen), noise).information
+    return np.asarray(information[:, :12, :12], np.float64)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
     """Each view's residuals in two: what moving its board explains, and what is left.
@@ -221,7 +227,8 @@ def _terms(lin: Linearised, noise: Noise) -> _Terms:
     GJt = np.swapaxes(GJ, 1, 2)
     known = (inner @ Gr[..., None])[..., 0]
     return _Terms(
-        chi2=np.einsum("vn,vn->v", r, r) - np.einsum("vi,vi->v", Gr, known),
+        # Not below zero, where rounding of a large difference could take it.
+        chi2=np.maximum(np.einsum("vn,vn->v", r, r) - np.einsum("vi,vi->v", Gr, known), 0.0),
         gradient=(Jt @ r[..., None] - GJt @ known[..., None])[..., 0],
         information=Jt @ J - GJt @ inner @ GJ,
     )

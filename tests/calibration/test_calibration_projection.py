@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from calibration.closed_form import board_pose
 from calibration.projection import PARAMETERS, Estimate, Observations, linearise, project
-from calibration.synthetic import D435_720P, make_truth, observe
+from calibration.synthetic import D435_720P, Truth, make_truth, observe
 from calibration.target import DEFAULT_TARGET
-from calibration.views import Mounting
+from calibration.views import Mounting, View
 from tdpg_deploy.geometry import Array, Transform
 
 CORNERS = DEFAULT_TARGET.corners()
@@ -26,7 +27,8 @@ CORNERS = DEFAULT_TARGET.corners()
     st.integers(0, 1000),
 )
 def test_projection_is_opencvs(distortion: tuple[float, ...], seed: int) -> None:
-    lens = replace(D435_720P, distortion=distortion)
+    k1, k2, p1, p2, k3 = distortion
+    lens = replace(D435_720P, distortion=(k1, k2, p1, p2, k3))
     rng = np.random.default_rng(seed)
     p_camera = np.column_stack([rng.uniform(-0.4, 0.4, (20, 2)), rng.uniform(0.5, 1.5, 20)])
     expected, _ = cv2.projectPoints(
@@ -73,9 +75,7 @@ def test_residuals_vanish_at_the_truth_and_where_nothing_was_seen() -> None:
     rng = np.random.default_rng(0)
     truth = make_truth(Mounting.EYE_TO_HAND, CORNERS, rng)
     views = observe(truth, 5, rng, pixel_noise=0)
-    exact = [
-        replace(view, X_base_tool=_exact_pose(truth, view.corners, view.ids)) for view in views
-    ]
+    exact = [replace(view, X_base_tool=exact_pose(truth, view)) for view in views]
     exact[0] = replace(exact[0], ids=exact[0].ids[:10], corners=exact[0].corners[:10])
     estimate = Estimate(
         X_parent_camera=truth.X_parent_camera,
@@ -87,14 +87,7 @@ def test_residuals_vanish_at_the_truth_and_where_nothing_was_seen() -> None:
     assert (found.jacobian[0, 20:] == 0).all()
 
 
-def _exact_pose(truth: object, corners: Array, ids: Array) -> Transform:
-    from calibration.closed_form import board_pose
-    from calibration.synthetic import Truth
-    from calibration.views import View
-
-    assert isinstance(truth, Truth)
-    view = View(
-        name="", X_base_tool=Transform.identity(), ids=ids.astype(np.int64), corners=corners
-    )
+def exact_pose(truth: Truth, view: View) -> Transform:
+    """X_base_tool that agrees with the view's noiseless corners."""
     X_camera_board = board_pose(view, CORNERS, truth.intrinsics)
     return truth.X_parent_camera @ X_camera_board @ truth.X_parent_board.inverse()
