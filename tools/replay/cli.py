@@ -1,0 +1,89 @@
+"""tdpg-replay: look at a logged episode again, decide on it again, try it again."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+EPILOG = """\
+examples:
+  tdpg-replay LOG --step                        one step after the other
+  tdpg-replay LOG --policy CHECKPOINT           decided again: the same, bit for bit?
+  tdpg-replay LOG --move-camera "5 mm,0,0"      what if the camera was moved?
+  tdpg-replay LOG --reenact --from 3            try the third action in the simulated cell
+  tdpg-replay LOG --rerun                       open it in Rerun
+
+exit codes:
+  0    played; decided again: the same
+  1    decided again: another action, or other bits on the same processor
+  2    bad input: arguments, checkpoint, cell file, a file that is no log
+  3    the log is damaged; what can be read was played
+  130  Ctrl-C
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(
+        prog="tdpg-replay",
+        description=__doc__.removeprefix("tdpg-replay: ") if __doc__ else None,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("log", type=Path, metavar="LOG")
+    p.add_argument("--from", dest="first", type=_number, default=1, metavar="N", help="first step")
+
+    terminal = p.add_argument_group("in the terminal")
+    terminal.add_argument("--step", action="store_true", help="wait after each step")
+    terminal.add_argument("--against", type=Path, metavar="LOG2", help="another log, side by side")
+
+    again = p.add_argument_group("decide again")
+    again.add_argument(
+        "--policy",
+        metavar="FILE",
+        help='a checkpoint, or "random" (default with the options below: the log\'s)',
+    )
+    again.add_argument("--config", type=Path, metavar="FILE", help="with another cell file")
+    again.add_argument(
+        "--move-camera", metavar="X,Y,Z", help='as if the camera hung elsewhere: "5 mm,0,0" of base'
+    )
+    again.add_argument(
+        "--reenact",
+        action="store_true",
+        help="try the logged action of step N in the simulated cell: an estimate",
+    )
+
+    shown = p.add_argument_group("in pictures")
+    shown.add_argument("--video", type=Path, metavar="OUT.mp4", help="write a video")
+    shown.add_argument("--rerun", action="store_true", help="open it in Rerun")
+    shown.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write it for Rerun")
+    shown.add_argument("--foxglove", action="store_true", help="play it live to Foxglove")
+    shown.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="of video and live")
+    return p
+
+
+def _number(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
+    return value
+
+
+def _speed(text: str) -> float:
+    value = float(text)
+    if not 0.01 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"{value:g} is not within 0.01 to 100")
+    return value
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    args = parser().parse_args(argv)
+
+    from tools.replay.command import replay  # heavy: not for --help
+
+    return replay(args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

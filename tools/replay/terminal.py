@@ -1,0 +1,93 @@
+"""Step by step in the terminal: one log, or two side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import zip_longest
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from tdpg_deploy.episode_log.reader import Episode
+from tdpg_deploy.errors import LogError
+from tools.replay import telling
+from tools.replay.telling import Line
+
+STYLES = {
+    "success": "green",
+    "failed": "red",
+    "unclear": "yellow",
+    "refused": "yellow",
+    "differs": "red",
+    "cause": "red",
+    "again": "cyan",
+}
+
+
+def show_head(console: Console, episode: Episode) -> None:
+    about = episode.about
+    console.print(f"[bold]{episode.path}[/]", soft_wrap=True)
+    weights = "" if about.checkpoint_sha256 is None else f" ({about.checkpoint_sha256[:12]})"
+    seed = "unknown" if about.seed is None else about.seed
+    console.print(
+        f"{about.cell.name} cell, policy {about.policy}{weights}, seed {seed}, "
+        f"commit {about.commit or 'unknown'}",
+        markup=False,
+        soft_wrap=True,
+    )
+    console.print(telling.result(episode.result()), markup=False)
+
+
+class Stepper:
+    """Shows steps from number `first` on; with `wait`, asks before each next one."""
+
+    def __init__(self, console: Console, *, first: int, wait: bool) -> None:
+        self.console = console
+        self.damage: list[LogError] = []
+        self._first = first
+        self._wait = wait
+
+    def show(self, *columns: Iterable[list[Line]]) -> None:
+        """Each column gives the lines of one step after the other. A column that breaks off with
+        a LogError ends there; the errors are kept in `damage`."""
+        sound = [self._until_damage(column) for column in columns]
+        number = 0
+        for number, told in enumerate(zip_longest(*sound, fillvalue=None), start=1):
+            if number < self._first:
+                continue
+            self.console.rule(f"step {number}", align="left", style="dim")
+            self.console.print(_side_by_side(told))
+            if self._wait and not self._goes_on(number):
+                return
+        if number < self._first:
+            self.console.print(f"the log has {number} steps")
+
+    def _until_damage(self, steps: Iterable[list[Line]]) -> Iterator[list[Line]]:
+        try:
+            yield from steps
+        except LogError as error:
+            self.damage.append(error)
+
+    def _goes_on(self, number: int) -> bool:
+        answer = self.console.input("[dim]Enter: next, a number: go there, q: quit[/] ").strip()
+        if answer.isdecimal():
+            self._first = max(int(answer), number + 1)
+        return answer != "q"
+
+
+def _side_by_side(told: tuple[list[Line] | None, ...]) -> Table:
+    grid = Table.grid(padding=(0, 2), expand=len(told) > 1)
+    for _ in told:
+        grid.add_column(ratio=1)
+    grid.add_row(
+        *(Text("no such step", "dim") if lines is None else _lines(lines) for lines in told)
+    )
+    return grid
+
+
+def _lines(lines: list[Line]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    for label, text in lines:
+        table.add_row(Text(label, "dim"), Text(text, STYLES.get(text, STYLES.get(label, ""))))
+    return table

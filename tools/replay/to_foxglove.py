@@ -1,0 +1,105 @@
+"""Play a log live to Foxglove, which can pause it, change its speed and seek."""
+
+from __future__ import annotations
+
+import time
+from importlib import import_module
+from typing import Any
+
+from rich.console import Console
+
+from tdpg_deploy.episode_log.reader import Episode
+from tdpg_deploy.errors import ConfigError
+from tools.replay.messages_of import RawMessage, raw_messages, start_of
+from tools.replay.playhead import Playhead, play
+
+PORT = 8765  # Foxglove's own default
+
+
+def serve(
+    episode: Episode, console: Console, *, speed: float, first: int = 1, port: int = PORT
+) -> None:
+    """Until Ctrl-C. On loopback only. Raises ConfigError without foxglove-sdk."""
+    foxglove = _foxglove()
+    times = [message.log_time for message in raw_messages(episode, images=False)]
+    if not times:
+        raise ConfigError(f"{episode.path}: an episode without messages cannot be played")
+    start = times[0] if first == 1 else start_of(episode, first)
+    playhead = Playhead(start, speed=speed, now=time.monotonic)
+    server = foxglove.start_server(
+        name=episode.path.name,
+        port=port,
+        server_listener=_listener(foxglove, playhead, last=times[-1]),
+        capabilities=[foxglove.Capability.PlaybackControl, foxglove.Capability.Time],
+        playback_time_range=(times[0], times[-1]),
+    )
+    console.print(
+        f"open Foxglove on ws://127.0.0.1:{server.port}, with the layout that the log carries "
+        "(tdpg_deploy/episode_log/layouts/foxglove.json); Ctrl-C ends",
+        soft_wrap=True,
+    )
+    channels = _Channels(foxglove)
+    try:
+        while True:
+            if play(raw_messages(episode), channels.publish, playhead, time.sleep):
+                _wait_for_jump(playhead)
+    finally:
+        server.stop()
+
+
+def _foxglove() -> Any:
+    try:
+        return import_module("foxglove")
+    except ImportError as error:
+        raise ConfigError(
+            "--foxglove needs foxglove-sdk: pip install 'tdpg-deploy[view]'"
+        ) from error
+
+
+def _wait_for_jump(playhead: Playhead) -> None:
+    """All is played; the viewer may still seek."""
+    jumps = playhead.jumps
+    while playhead.jumps == jumps:
+        time.sleep(0.1)
+
+
+class _Channels:
+    """The log's channels, made when they are first needed."""
+
+    def __init__(self, foxglove: Any) -> None:
+        self._foxglove = foxglove
+        self._channels: dict[str, Any] = {}
+
+    def publish(self, message: RawMessage) -> None:
+        if message.topic not in self._channels:
+            schema = message.schema
+            self._channels[message.topic] = self._foxglove.Channel(
+                message.topic,
+                message_encoding=message.channel.message_encoding,
+                schema=None
+                if schema is None
+                else self._foxglove.Schema(
+                    name=schema.name, encoding=schema.encoding, data=schema.data
+                ),
+            )
+        self._channels[message.topic].log(message.data, log_time=message.log_time)
+
+
+def _listener(foxglove: Any, playhead: Playhead, *, last: int) -> Any:
+    websocket = foxglove.websocket
+
+    class Listener(websocket.ServerListener):  # type: ignore[misc, name-defined]
+        def on_playback_control_request(self, request: Any) -> Any:
+            plays = request.playback_command == websocket.PlaybackCommand.Play
+            playhead.control(play=plays, speed=request.playback_speed, seek=request.seek_time)
+            now = min(playhead.time, last)
+            status = websocket.PlaybackStatus.Playing if plays else websocket.PlaybackStatus.Paused
+            return websocket.PlaybackState(
+                status=websocket.PlaybackStatus.Ended if now == last else status,
+                current_time=now,
+                playback_speed=playhead.speed,
+                did_seek=request.seek_time is not None,
+                request_id=request.request_id,
+            )
+
+    return Listener()
