@@ -9,6 +9,7 @@ are ragged and smeared; and there are holes where a surface is steep or too dark
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -74,19 +75,18 @@ def with_stereo_noise(
     scale = intrinsics.fx * noise.baseline
     with np.errstate(divide="ignore"):
         true = np.float32(scale) / depth
-    disparity = _match(
-        true,
-        np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8),
-        fields,
-        pitch,
-        noise.disparity_step * pitch,
-        scale / noise.nearest,
-        noise.grazing,
-        float(ndtri(noise.lost)),
-        noise.dark,
-        float(ndtri(noise.dark_holes)),
-        float(-ndtri(noise.smeared)),
+    rules = _Rules(
+        pitch=pitch,
+        step=noise.disparity_step * pitch,
+        largest=scale / noise.nearest,
+        grazing=noise.grazing,
+        dark=noise.dark,
+        lost_below=float(ndtri(noise.lost)),
+        dark_below=float(ndtri(noise.dark_holes)),
+        smeared_above=float(-ndtri(noise.smeared)),
     )
+    luminance = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+    disparity = _match(true, luminance, fields, rules)
     return np.float32(scale) / disparity
 
 
@@ -100,20 +100,22 @@ def _field(rng: np.random.Generator, shape: tuple[int, int], blur: float) -> Dep
     return np.asarray(field, np.float32)
 
 
+class _Rules(NamedTuple):
+    """StereoNoise for one picture: lengths in its pixels, `pitch` of which are one of the imagers',
+    and shares as the values of the blotches beyond which they lie."""
+
+    pitch: float
+    step: float
+    largest: float
+    grazing: float
+    dark: float
+    lost_below: float
+    dark_below: float
+    smeared_above: float
+
+
 @compiled
-def _match(
-    true: Depth,
-    luminance: npt.NDArray[np.uint8],
-    fields: Depth,
-    pitch: float,
-    step: float,
-    largest: float,
-    grazing: float,
-    lost_below: float,
-    dark: float,
-    dark_below: float,
-    smeared_above: float,
-) -> Depth:
+def _match(true: Depth, luminance: npt.NDArray[np.uint8], fields: Depth, rules: _Rules) -> Depth:
     """True disparity -> matched disparity, both in pixels of the picture, nan where unmatched.
 
     fields: error of disparity, jitter of rows and columns, blotches, for each pixel of the
@@ -122,31 +124,31 @@ def _match(
     rows, cols = true.shape
     matched = np.full((rows, cols), np.nan, np.float32)
     for row in range(rows):
-        error, jitter_row, jitter_col, blotches = fields[:, int(row / pitch)]
+        error, jitter_row, jitter_col, blotches = fields[:, int(row / rules.pitch)]
         leftmost = np.inf  # in the other imager, of all that was passed, from the right
         for col in range(cols - 1, -1, -1):
-            if not 0 < true[row, col] < largest:  # so for nan
+            if not 0 < true[row, col] < rules.largest:  # so for nan
                 continue
             place = col - true[row, col]
             hidden = place >= leftmost
             leftmost = min(leftmost, place)
-            imager_col = int(col / pitch)
+            imager_col = int(col / rules.pitch)
             blotch = blotches[imager_col]
-            if hidden or blotch < lost_below:
+            if hidden or blotch < rules.lost_below:
                 continue
-            if luminance[row, col] < dark and blotch < dark_below:
+            if luminance[row, col] < rules.dark and blotch < rules.dark_below:
                 continue
-            if _slope(true, row, col) > grazing:
+            if _slope(true, row, col) > rules.grazing:
                 continue
             down = int(np.rint(jitter_row[imager_col]))
             right = int(np.rint(jitter_col[imager_col]))
             seen = _at(true, row + down, col + right)
-            if blotch > smeared_above:
-                share = min(blotch - smeared_above, 1) / 2
+            if blotch > rules.smeared_above:
+                share = min(blotch - rules.smeared_above, 1) / 2
                 seen += share * (_at(true, row - down, col - right) - seen)
-            steps = np.rint((seen + error[imager_col]) / step)
+            steps = np.rint((seen + error[imager_col]) / rules.step)
             if steps > 0:  # not so for nan
-                matched[row, col] = steps * step
+                matched[row, col] = steps * rules.step
     return matched
 
 
