@@ -57,7 +57,7 @@ def test_the_workspace_is_the_cell_files_square() -> None:
 
 @pytest.mark.parametrize("camera", [HD, VGA])
 @given(pose=camera_poses, tilt_x=st.floats(-0.15, 0.15), tilt_y=st.floats(-0.15, 0.15))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_a_tilted_plane_has_its_height_everywhere_it_is_seen(
     camera: Intrinsics, pose: Transform, tilt_x: float, tilt_y: float
 ) -> None:
@@ -81,7 +81,7 @@ def test_a_tilted_plane_has_its_height_everywhere_it_is_seen(
     yaw=st.floats(-np.pi, np.pi),
     size=st.tuples(st.floats(0.03, 0.1), st.floats(0.03, 0.1), st.floats(0.02, 0.08)),
 )
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_a_box_lies_where_it_lies(
     camera: Intrinsics,
     pose: Transform,
@@ -163,7 +163,7 @@ def distorted(rays: Array) -> Array:
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_the_highest_point_wins_as_in_double_precision(seed: int) -> None:
     """Against a plain NumPy scatter in float64, wherever that is not filled and not on a rim."""
     rng = np.random.default_rng(seed)
