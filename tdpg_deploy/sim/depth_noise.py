@@ -27,8 +27,9 @@ class StereoNoise:
     """Of a D435 at 848 x 480, where its depth is best. Pixels are those of its imagers.
 
     baseline (m), focal (px) and nearest (m): D400 series data sheet (50 mm, field of view 87
-    degrees, Min-Z). disparity_sd (px): "Best-Known-Methods for Tuning Intel RealSense D400
-    Depth Cameras" gives 0.05 to 0.1 on texture. disparity_step (px): of the chip's output.
+    degrees, Min-Z). disparity_sd (px): on a textured wall, as the camera's makers advise
+    (librealsense #3904). disparity_step (px): of the chip's output, 1/32 ("Subpixel Linearity
+    Improvement for Intel RealSense D400"). What follows has no published figure.
     correlation (px): sd of the blur that makes errors alike, from the size of the matched block.
     edge_jitter (px): sd of where an edge is seen. smeared: share of the pixels at such an edge
     that show a depth in between. lost: share of pixels that are holes anywhere. dark: luminance
