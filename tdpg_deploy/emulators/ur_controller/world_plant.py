@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,7 +37,8 @@ class WorldPlant:
     def __init__(self, world: World, *, before_step: Callable[[], None] = lambda: None) -> None:
         self._world, self._robot, self._before_step = world, world.robot, before_step
         self._tip = np.append(world.config.arm.X_flange_tool.transform().translation, 1.0)
-        self._q_target, self._qd = self.q, np.zeros(6)
+        self._q_target = self.q
+        self._lately = deque([self.q] * 3, maxlen=3)  # joints at the last three steps
         self._ahead = 0.0  # s of the controller that the world has not been stepped for yet
         self._obstacle: _Obstacle | None = None
 
@@ -46,8 +48,8 @@ class WorldPlant:
 
     @property
     def qd(self) -> Array:
-        # Bullet's own speeds stay above zero for ever where an arm has come to rest.
-        return self._qd
+        # Over two steps: at rest, Bullet's motors tremble from one to the next, for ever.
+        return (self._lately[2] - self._lately[0]) / (2 * TIME_STEP)
 
     @property
     def force(self) -> Array:
@@ -69,10 +71,9 @@ class WorldPlant:
             self._obstacle = None  # the target has come back
         held = self._obstacle is not None
         self._robot.drive((self._obstacle.q if self._obstacle else q_target).tolist())
-        before = self.q
         self._before_step()
         self._world.step()
-        self._qd = (self.q - before) / TIME_STEP
+        self._lately.append(self.q)
         force = self._robot.force()
         pressed = float(np.linalg.norm(force))
         if not held and pressed > RIGID:
