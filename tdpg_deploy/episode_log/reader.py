@@ -60,8 +60,8 @@ class Episode:
         """One for each planned action, and a last one for refusals that led to none."""
         return group(self.entries(images=images, states=states))
 
-    def images(self, topics: Set[str]) -> Iterator[tuple[str, bytes]]:
-        """Topic and content of the messages on some of channels.IMAGES, in order, not decoded.
+    def raw(self, topics: Set[str]) -> Iterator[tuple[str, bytes]]:
+        """Topic and content of the messages on these topics, in order, not decoded.
         Raises LogError."""
         others = (channels.PROTOBUF.keys() | channels.DOCUMENTS.keys()) - topics
         names: dict[int, str] = {}

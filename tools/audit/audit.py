@@ -15,6 +15,8 @@ from tools.audit.compare import compare
 from tools.audit.parquet import TableWriter, query
 from tools.audit.rows import AuditedLog
 from tools.audit.run import audit_logs, find_logs
+from tools.audit.serve import serve
+from tools.audit.site_build import Listed, listed, write_site
 from tools.audit.summary import show_answer, show_comparison, show_summary
 from tools.audit.tally import Tally
 
@@ -25,17 +27,29 @@ def audit(args: argparse.Namespace, console: Console) -> bool:
         raise ConfigError("--serve shows what --html wrote: give --html DIR too")
     with ExitStack() as stack:
         tables = args.out or Path(stack.enter_context(TemporaryDirectory(prefix="tdpg-audit-")))
-        tally = _read(args.logs, tables, args.workers, console)
+        pages: list[Listed] | None = [] if args.html is not None else None
+        tally = _read(args.logs, tables, args.workers, console, pages)
         if args.sql is not None:
             show_answer(console, query(tables, args.sql))
         else:
             show_summary(console, args.logs, tally)
         if args.compare is not None:
             _compare(args, tally, console)
+        if pages is not None:
+            _write(args, pages, tally, console)
+    if args.serve:
+        serve(args.html, args.port, console)
     return not tally.unreadable
 
 
-def _read(folder: Path, tables: Path, workers: int, console: Console) -> Tally:
+def _read(
+    folder: Path,
+    tables: Path,
+    workers: int,
+    console: Console,
+    pages: list[Listed] | None = None,
+) -> Tally:
+    """Fills `tables`, and `pages` if there are to be any."""
     logs = find_logs(folder)
     tally = Tally()
     audited = audit_logs(folder, logs, workers=min(workers, len(logs)))
@@ -44,6 +58,8 @@ def _read(folder: Path, tables: Path, workers: int, console: Console) -> Tally:
             tally.add(log)
             if isinstance(log, AuditedLog):
                 writer.add(log)
+                if pages is not None:
+                    pages.append(listed(log))
     return tally
 
 
@@ -54,3 +70,10 @@ def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
         if not one.rows:
             raise ConfigError(f"{folder}: no complete episode to compare")
     show_comparison(console, args.logs, args.compare, compare(tally, other))
+
+
+def _write(args: argparse.Namespace, pages: list[Listed], tally: Tally, console: Console) -> None:
+    done = write_site(args.html, pages, tally, workers=min(args.workers, len(pages) or 1))
+    for _ in track(done, "writing pages", len(pages), console=console, transient=True):
+        pass
+    console.print(f"pages: {args.html / 'index.html'}", markup=False, soft_wrap=True)

@@ -103,9 +103,11 @@ class ActionRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class AuditedLog:
-    """All that the audit keeps of a log. row: for the metrics; None if it was truncated."""
+    """All that the audit keeps of a log. findings: of the episode. row: for the metrics; None if
+    it was truncated."""
 
     episode: EpisodeRecord
+    findings: tuple[Finding, ...]
     actions: tuple[ActionRecord, ...]
     row: EpisodeRow | None
 
@@ -130,6 +132,7 @@ def audit_log(path: Path, *, name: str) -> AuditedLog:
     findings = explain_episode(result, summaries, episode.about.cell, level=level, damage=damage)
     return AuditedLog(
         episode=_episode(episode, name, result, records, findings, level),
+        findings=findings,
         actions=tuple(records),
         row=None if result is None else metrics_row(episode.about, result),
     )
@@ -151,7 +154,7 @@ def metrics_row(about: About, result: EpisodeResult) -> EpisodeRow:
 def first_level(episode: Episode) -> TableLevel | None:
     """Of the table as the first look shows it; None if there is none or it cannot be read."""
     try:
-        for _, grid in episode.images({channels.HEIGHTMAP}):
+        for _, grid in episode.raw({channels.HEIGHTMAP}):
             return table_level(messages.decode_heightmap(messages.parse(Grid, grid)))
     except LogError:
         return None
