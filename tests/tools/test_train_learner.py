@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from policies.rotation import patches, sample
 from policies.state import encode
 from tools.train.config import Learning
 from tools.train.learner import Learner, augmented
-from tools.train.replay import CANDIDATES, TRANSITION, Replay, pack_height
+from tools.train.replay import CANDIDATES, TRANSITION, Replay, pack_goal, pack_height
 
 
 def cube_at(row: int, col: int) -> Heightmap:
@@ -96,6 +97,55 @@ def test_nothing_follows_the_end_of_a_trial(tmp_path: Path) -> None:
     replay = replay_of_cubes(tmp_path, 2)
     learner = Learner(LightNet(goal=False, width=8), Learning(discount=0.5))
     assert not learner.value_of_next(replay, replay.transitions[:2]).any()
+
+
+def test_critic_two_learns_only_where_it_is_switched_on(tmp_path: Path) -> None:
+    """Ablation: TDPG-base has Critic I alone."""
+    for critic_two in (True, False):
+        torch.manual_seed(0)
+        network = LightNet(goal=False, width=8)
+        before = network.evaluation_net.fully_connected.weight.detach().clone()
+        replay = replay_of_cubes(tmp_path / str(critic_two), 4)
+        learning = Learning(batch=4, weight_decay=0.0)
+        learner = Learner(network, learning, critic_two=critic_two)
+        learner.update(replay, np.random.default_rng(0), importance=1.0)
+        after = network.evaluation_net.fully_connected.weight
+        assert torch.equal(after, before) != critic_two
+
+
+def test_a_push_teaches_push_net_and_no_other_head(tmp_path: Path) -> None:
+    replay = replay_of_cubes(tmp_path, 4)
+    replay.transitions["push"], replay.transitions["grasped"] = True, -1
+    network = LightNet(goal=False, width=8)
+    before = copy.deepcopy(network)
+    Learner(network, Learning(batch=4, weight_decay=0.0)).update(
+        replay, np.random.default_rng(0), importance=1.0
+    )
+    assert not torch.equal(network.push_net.weight, before.push_net.weight)
+    assert torch.equal(network.grasp_net.weight, before.grasp_net.weight)
+
+
+def test_the_goal_is_seen_while_learning(tmp_path: Path) -> None:
+    """The same look with another goal has another value."""
+    torch.manual_seed(2)
+    network = LightNet(goal=True, width=8)
+    torch.nn.init.normal_(network.grasp_net.weight)
+    replay = Replay(tmp_path, 2, goal=True)
+    look = cube_at(100, 100)
+    goals = np.zeros((2, SIZE, SIZE), np.bool_)
+    goals[0, 90:110, 90:110] = True
+    transitions = np.zeros(2, TRANSITION)
+    transitions["look"], transitions["next_look"] = [0, 1], [0, 1]
+    transitions["next_grasps"] = [0, 100, 100]
+    replay.extend(
+        np.stack([pack_height(look.height)] * 2),
+        np.stack([look.color] * 2),
+        transitions,
+        np.stack([pack_goal(goal) for goal in goals]),
+    )
+    learner = Learner(network, Learning())
+    with_goal, without = learner.value_of_next(replay, replay.transitions[:2]).tolist()
+    assert abs(with_goal - without) > 1e-3
 
 
 def test_symmetries_move_picture_and_place_together() -> None:

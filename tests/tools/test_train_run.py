@@ -27,7 +27,9 @@ from tools.train.config import (
     stage_after,
 )
 from tools.train.curve import Progress, read_curve
+from tools.train.replay import Replay, unpack_goal
 from tools.train.rollout import RolloutTask, play
+from tools.train.run import Run, shares
 
 SMALL = TrainConfig(
     width=4,
@@ -90,6 +92,70 @@ def test_the_same_task_gives_the_same_experience(tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.transitions, again.transitions)
     other = play(dataclasses.replace(task, seed=(3, 2)))
     assert not np.array_equal(first.heights[0], other.heights[0])
+
+
+@pytest.mark.slow
+def test_goals_are_fetched_one_after_another(tmp_path: Path) -> None:
+    """Paper, section III-D, from weights that knew no goal."""
+    torch.manual_seed(0)
+    agnostic = PolicyConfig(network="light", width=4, goal=False, method="grasp-only")
+    network = LightNet(goal=False, width=4)
+    save_checkpoint(tmp_path / "start.safetensors", network, agnostic, {})
+    config = overridden(
+        TrainConfig(
+            width=4,
+            goal=True,
+            stages=(Stage(kind="grasp", actions=4, min_objects=2, max_objects=2),),
+            rollout=Rollout(workers=1, actions=4),
+            learning=Learning(batch=4, warmup=100),
+            evaluation=Evaluation(episodes=0),
+        ),
+        start=tmp_path / "start.safetensors",
+    )
+    policy = load_checkpoint(trainer.train(config, tmp_path / "run", on_progress=lambda _: None))
+    assert policy.config.goal
+    stem = policy.weights["stem.weight"]
+    torch.testing.assert_close(stem[:, :6], network.stem.weight.detach(), rtol=0, atol=0)
+    assert not stem[:, 6].any()
+    replay = Replay(tmp_path / "run" / "replay", 2 * config.actions, goal=True)
+    assert replay.goals is not None
+    looks = replay.transitions["look"][: config.actions]
+    shown = [unpack_goal(replay.goals[look]).sum() for look in looks]
+    assert all(30 <= pixels < 5000 for pixels in shown)  # a block's face; the limit of viability
+
+
+def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
+    config = PolicyConfig(network="light", width=8, goal=False, method="grasp-only")
+    save_checkpoint(tmp_path / "p", LightNet(goal=False, width=8), config, {})
+    with pytest.raises(ConfigError, match="width is 8, the experiment's is 4"):
+        Run(SMALL.model_copy(update={"start": tmp_path / "p"}), tmp_path)
+
+
+def test_stages_follow_each_other() -> None:
+    assert SMALL.actions == 10
+    kinds = [(stage_after(SMALL, n)[0].kind, stage_after(SMALL, n)[1]) for n in (0, 2, 3, 9)]
+    assert kinds == [("grasp", 3), ("grasp", 1), ("push", 4), ("synergy", 1)]
+
+
+def test_a_round_asks_for_no_more_than_is_left() -> None:
+    assert shares(100, 2, 24) == [24, 24]
+    assert shares(5, 2, 24) == [3, 2]
+    assert shares(1, 2, 24) == [1]
+
+
+def test_the_paper_s_budget() -> None:
+    """Section III-D: 4,000 steps, 1,000 for stages I and II and 2,000 for stage III."""
+    for name in ("tdpg", "tdpg-goal"):
+        config = load_train_config(EXPERIMENTS / f"{name}.toml")
+        assert [(s.kind, s.actions) for s in config.stages] == [
+            ("grasp", 1000),
+            ("push", 1000),
+            ("synergy", 2000),
+        ]
+        assert [s.max_objects for s in config.stages][:2] == [10, 20]
+        learning = config.learning
+        assert (learning.learning_rate, learning.betas) == (1e-4, (0.9, 0.99))
+        assert (learning.discount, learning.weight_decay) == (0.5, 2e-5)
 
 
 def test_a_directory_belongs_to_one_experiment(tmp_path: Path) -> None:
