@@ -18,9 +18,9 @@ from tdpg_deploy.geometry import Array
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 LEAST_TAGS = 3
-CORNER_NOISE = 0.12  # px: twice what a sharp tag shows, for changing light
+CORNER_NOISE = 0.08  # px: half as much again as a sharp tag shows, for changing light
 FALSE_ALARMS = 1e-6  # per frame
-LEAST_MOVE = 0.25  # px of common motion; smaller is below 0.4 mm at a metre
+LEAST_MOVE = 0.15  # px of common motion; smaller is below 0.2 mm at a metre
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
