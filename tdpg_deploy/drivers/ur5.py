@@ -52,7 +52,7 @@ class UrArm:
         self._link = UrLink(config.host, clock=clock)
         self._force_zero: Array = np.zeros(3)
         self._stop_asked = threading.Event()
-        self._motion_lock = threading.RLock()
+        self._lock = threading.RLock()
 
     @property
     def version(self) -> ControllerVersion:
@@ -104,13 +104,15 @@ class UrArm:
     # --- state --------------------------------------------------------------------------------
 
     def state(self) -> ArmState:
-        self._link.sample()  # may have been under way when the call began
-        return self._as_state(self._link.sample())
+        with self._lock:
+            self._link.sample()  # may have been under way when the call began
+            return self._as_state(self._link.sample())
 
     def zero_force(self) -> None:
-        if np.abs(self.state().qd).max() > AT_REST:
-            raise ArmError("the force cannot be zeroed while the arm moves: wait until it rests")
-        forces = [self._link.sample().force for _ in range(ZERO_SAMPLES)]
+        with self._lock:
+            if np.abs(self.state().qd).max() > AT_REST:
+                raise ArmError("the force cannot be zeroed in motion: wait until the arm rests")
+            forces = [self._link.sample().force for _ in range(ZERO_SAMPLES)]
         self._force_zero = np.mean(forces, axis=0)
 
     def _as_state(self, sample: Sample) -> ArmState:
@@ -176,7 +178,7 @@ class UrArm:
 
     def stop(self) -> None:
         self._stop_asked.set()  # a motion in another thread ends itself, and lets go of the lock
-        with self._motion_lock:
+        with self._lock:
             if self._link.is_open:
                 self._link.halt(STOP_DECELERATION)
 
@@ -189,7 +191,7 @@ class UrArm:
         stop_force: float | None,
         on_state: OnArmState | None,
     ) -> MotionResult:
-        with self._motion_lock:
+        with self._lock:
             self._stop_asked.clear()
             end = self._clock.now() + deadline
             try:
