@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from tdpg_deploy.cell_config import CellConfig, Metres, Pose
 from tdpg_deploy.errors import ConfigError
 from tdpg_deploy.geometry import Array
 
-_OFFSET: TypeAdapter[tuple[float, float, float]] = TypeAdapter(tuple[Metres, Metres, Metres])
+_OFFSET: TypeAdapter[tuple[float, float, float]] = TypeAdapter(
+    tuple[Metres, Metres, Metres], config=ConfigDict(allow_inf_nan=False)
+)
 
 
 def parse_offset(text: str) -> Array:

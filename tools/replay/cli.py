@@ -48,18 +48,20 @@ def parser() -> argparse.ArgumentParser:
     again.add_argument(
         "--move-camera", metavar="X,Y,Z", help='as if the camera hung elsewhere: "5 mm,0,0" of base'
     )
-    again.add_argument(
+
+    elsewhere = p.add_argument_group(
+        "elsewhere than in the terminal"
+    ).add_mutually_exclusive_group()
+    elsewhere.add_argument(
         "--reenact",
         action="store_true",
         help="try the logged action of step N in the simulated cell: an estimate",
     )
-
-    shown = p.add_argument_group("in pictures")
-    shown.add_argument("--video", type=Path, metavar="OUT.mp4", help="write a video")
-    shown.add_argument("--rerun", action="store_true", help="open it in Rerun")
-    shown.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write it for Rerun")
-    shown.add_argument("--foxglove", action="store_true", help="play it live to Foxglove")
-    shown.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="of video and live")
+    elsewhere.add_argument("--video", type=Path, metavar="OUT.mp4", help="write a video")
+    elsewhere.add_argument("--rerun", action="store_true", help="open it in Rerun")
+    elsewhere.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write it for Rerun")
+    elsewhere.add_argument("--foxglove", action="store_true", help="play it live to Foxglove")
+    p.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="of video and Foxglove")
     return p
 
 
@@ -78,7 +80,15 @@ def _speed(text: str) -> float:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    args = parser().parse_args(argv)
+    options = parser()
+    args = options.parse_args(argv)
+    decides = [args.policy, args.config, args.move_camera]
+    others = [args.against, args.reenact, args.video, args.rerun, args.rrd, args.foxglove]
+    if any(decides) and any(others):
+        options.error(
+            "--policy, --config and --move-camera decide again in the terminal: not allowed with "
+            "--against, --reenact, --video, --rerun, --rrd and --foxglove"
+        )
 
     from tools.replay.command import replay  # heavy: not for --help
 

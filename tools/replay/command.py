@@ -93,7 +93,7 @@ def _decide_again(args: argparse.Namespace, episode: Episode, console: Console) 
     return DIVERGED if is_test and told.diverged() else damaged
 
 
-@dataclass(kw_only=False)
+@dataclass
 class _Again:
     """Steps decided again, as lines; what differed is kept."""
 
@@ -185,11 +185,11 @@ def _write_video(args: argparse.Namespace, episode: Episode, console: Console) -
 def _to_rerun(args: argparse.Namespace, episode: Episode, console: Console) -> int:
     from tools.replay.to_rerun import open_in_rerun, write_rrd
 
-    if args.rrd is not None:
-        write_rrd(episode, args.rrd)
-        console.print(f"{args.rrd}: open it with rerun", markup=False, soft_wrap=True)
     if args.rerun:
         open_in_rerun(episode)
+    else:
+        write_rrd(episode, args.rrd)
+        console.print(f"{args.rrd}: open it with rerun", markup=False, soft_wrap=True)
     return SAME
 
 

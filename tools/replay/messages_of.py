@@ -51,6 +51,21 @@ def raw_messages(episode: Episode, *, images: bool = True) -> Iterator[RawMessag
                 )
 
 
+def channels_of(episode: Episode) -> dict[str, tuple[Channel, Schema | None]]:
+    """By topic: those that the log names before its first message."""
+    schemas: dict[int, Schema] = {}
+    found: dict[str, tuple[Channel, Schema | None]] = {}
+    with episode.path.open("rb") as file:
+        for record in read_records(file):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                found[record.topic] = record, schemas.get(record.schema_id)
+            elif isinstance(record, Message):
+                break
+    return found
+
+
 def start_of(episode: Episode, number: int) -> int:
     """Log time of the look that step `number` was decided on. Raises LogError."""
     steps, looked = 0, 0

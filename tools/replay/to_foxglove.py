@@ -6,11 +6,12 @@ import time
 from importlib import import_module
 from typing import Any
 
+from mcap.records import Channel, Schema
 from rich.console import Console
 
 from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.errors import ConfigError
-from tools.replay.messages_of import RawMessage, raw_messages, start_of
+from tools.replay.messages_of import RawMessage, channels_of, raw_messages, start_of
 from tools.replay.playhead import Playhead, play
 
 PORT = 8765  # Foxglove's own default
@@ -26,6 +27,7 @@ def serve(
         raise ConfigError(f"{episode.path}: an episode without messages cannot be played")
     start = times[0] if first == 1 else start_of(episode, first)
     playhead = Playhead(start, speed=speed, now=time.monotonic)
+    playhead.control(play=False, speed=speed, seek=None)  # until somebody looks
     server = foxglove.start_server(
         name=episode.path.name,
         port=port,
@@ -39,6 +41,8 @@ def serve(
         soft_wrap=True,
     )
     channels = _Channels(foxglove)
+    for channel, schema in channels_of(episode).values():
+        channels.open(channel, schema)
     try:
         while True:
             if play(raw_messages(episode), channels.publish, playhead, time.sleep):
@@ -64,31 +68,41 @@ def _wait_for_jump(playhead: Playhead) -> None:
 
 
 class _Channels:
-    """The log's channels, made when they are first needed."""
+    """The log's channels, as the server has them."""
 
     def __init__(self, foxglove: Any) -> None:
         self._foxglove = foxglove
-        self._channels: dict[str, Any] = {}
+        self._open: dict[str, Any] = {}
+
+    def open(self, channel: Channel, schema: Schema | None) -> None:
+        described = None
+        if schema is not None:
+            described = self._foxglove.Schema(
+                name=schema.name, encoding=schema.encoding, data=schema.data
+            )
+        self._open[channel.topic] = self._foxglove.Channel(
+            channel.topic, message_encoding=channel.message_encoding, schema=described
+        )
 
     def publish(self, message: RawMessage) -> None:
-        if message.topic not in self._channels:
-            schema = message.schema
-            self._channels[message.topic] = self._foxglove.Channel(
-                message.topic,
-                message_encoding=message.channel.message_encoding,
-                schema=None
-                if schema is None
-                else self._foxglove.Schema(
-                    name=schema.name, encoding=schema.encoding, data=schema.data
-                ),
-            )
-        self._channels[message.topic].log(message.data, log_time=message.log_time)
+        if message.topic not in self._open:  # a recovered file names some in its middle
+            self.open(message.channel, message.schema)
+        self._open[message.topic].log(message.data, log_time=message.log_time)
 
 
 def _listener(foxglove: Any, playhead: Playhead, *, last: int) -> Any:
     websocket = foxglove.websocket
 
     class Listener(websocket.ServerListener):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            self._watched = False
+
+        def on_subscribe(self, client: Any, channel: Any) -> None:
+            """Start with the first; show the state of things to whoever comes later."""
+            plays = playhead.playing or not self._watched
+            self._watched = True
+            playhead.control(play=plays, speed=playhead.speed, seek=playhead.time)
+
         def on_playback_control_request(self, request: Any) -> Any:
             plays = request.playback_command == websocket.PlaybackCommand.Play
             playhead.control(play=plays, speed=request.playback_speed, seek=request.seek_time)

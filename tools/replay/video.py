@@ -133,7 +133,8 @@ def _place(page: Picture, picture: Picture, at: tuple[int, int], size: tuple[int
 def _with_lines(page: Picture, lines: list[telling.Line]) -> Picture:
     written = page.copy()
     for row, (label, text) in enumerate(lines[-5:]):
-        _write(written, f"{label:9s} {text}"[:150], (24, 602 + 25 * row), INK, 0.5)
+        _write(written, label, (24, 602 + 25 * row), FADED, 0.5)
+        _write(written, text[:140], (120, 602 + 25 * row), INK, 0.5)
     return written
 
 
@@ -144,11 +145,20 @@ def _with_traces(page: Picture, step: Step, until: float) -> Picture:
     span = (states[0].stamp, states[-1].stamp)
     force = [(s.stamp, float(np.linalg.norm(s.force)) / MAX_FORCE) for s in states]
     width = [(s.stamp, s.width / MAX_WIDTH) for s in step.gripper_states]
-    for trace, color in ((force, FORCE), (width, FINGERS)):
+    for trace, color in ((force, FORCE), (_held(width, until), FINGERS)):
         points = [_on_chart(t, share, span) for t, share in trace if t <= until]
         if points:
             cv2.polylines(drawn, [np.array(points, np.int32)], False, color, 2, cv2.LINE_AA)
     return drawn
+
+
+def _held(trace: list[tuple[float, float]], until: float) -> list[tuple[float, float]]:
+    """The fingers are measured when they have moved: until the next time they stay so."""
+    ends = [stamp for stamp, _ in trace[1:]]
+    held = []
+    for (stamp, share), end in zip(trace, [*ends, until], strict=False):
+        held += [(stamp, share), (min(end, until), share)]
+    return held
 
 
 def _on_chart(stamp: float, share: float, span: tuple[float, float]) -> tuple[int, int]:

@@ -1,0 +1,249 @@
+"""tdpg-replay as a user meets it."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from kinematic_log import write_log
+
+from policies.baselines import RandomPolicy
+from policies.shipped import NamedPolicy
+from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+from tdpg_deploy.episode_log.reader import Episode, read_episode
+from tdpg_deploy.outcome import PushOutcome
+from tdpg_deploy.session import log_episode
+from tdpg_deploy.sim.scenes import random_scene
+from tdpg_deploy.workspace import workspace_of
+from tools.replay.cli import main
+from tools.replay.messages_of import channels_of, raw_messages, start_of
+from tools.replay.reenact import TableFrom, reenact
+
+POLICY = NamedPolicy(name="random", decider=RandomPolicy(), sha256=None)
+
+
+@pytest.fixture(scope="module")
+def episode(tmp_path_factory: pytest.TempPathFactory) -> Episode:
+    return write_log(tmp_path_factory.mktemp("logs") / "a.mcap", POLICY, actions=3)
+
+
+@pytest.fixture
+def log(episode: Episode) -> str:
+    return str(episode.path)
+
+
+def run(capsys: pytest.CaptureFixture[str], *args: str | Path) -> tuple[int, str]:
+    """Exit code, and what was printed with its line breaks folded."""
+    code = main([str(arg) for arg in args])
+    return code, re.sub(r"\s+", " ", capsys.readouterr().out)
+
+
+# --- in the terminal --------------------------------------------------------------------------
+
+
+def test_every_step_is_told(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = run(capsys, log)
+    assert code == 0
+    assert "policy random, seed 3, commit 0123456789abcdef" in said
+    assert [f"step {n}" in said for n in (1, 2, 3, 4)] == [True, True, True, False]
+    for told in ("seen", "decided grasp at (", "measured", "outcome"):
+        assert told in said
+
+
+def test_it_begins_where_it_is_told(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    _, said = run(capsys, log, "--from", "3")
+    assert "step 3" in said
+    assert "step 2" not in said
+    _, said = run(capsys, log, "--from", "9")
+    assert "the log has 3 steps" in said
+
+
+def test_step_by_step_with_a_jump(
+    log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["3", "q"])
+    monkeypatch.setattr("builtins.input", lambda *_: next(answers))
+    _, said = run(capsys, log, "--step")
+    assert "step 1" in said
+    assert "step 2" not in said
+    assert "step 3" in said
+
+
+def test_two_logs_side_by_side(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    shorter = write_log(tmp_path / "b.mcap", POLICY, actions=1, seed=4)
+    code, said = run(capsys, log, "--against", shorter.path)
+    assert code == 0
+    assert "seed 3" in said
+    assert "seed 4" in said
+    assert said.count("no such step") == 2
+
+
+def test_a_cut_log_is_played_to_its_end(
+    episode: Episode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = episode.path.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    code, said = run(capsys, cut)
+    assert code == 3
+    assert "step 1" in said
+    assert "damaged at byte" in said
+
+
+# --- decided again ----------------------------------------------------------------------------
+
+
+def test_the_same_policy_decides_the_same(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = run(capsys, log, "--policy", "random")
+    assert code == 0
+    assert "3 of 3 steps are the same, bit for bit" in said
+
+
+def test_a_moved_camera_is_the_cause(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = run(capsys, log, "--move-camera", "5 mm,0,0")
+    assert code == 0  # a question, not a test
+    assert "Cause: calibration" in said
+    assert "X_base_camera is 5.00 mm and 0.000 deg from the logged one" in said
+
+
+def test_another_cell_file_is_the_cause(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(DEFAULT_CELL.read_text().replace("[arm]", '[arm]\nhost = "10.0.0.9"'))
+    _, said = run(capsys, log, "--config", cell)
+    assert "calibration" in said  # the fake camera hangs elsewhere than the mock cell's
+
+
+def test_a_policy_that_is_not_here_has_to_be_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost = NamedPolicy(name="lost.safetensors", decider=RandomPolicy(), sha256="ab" * 32)
+    episode = write_log(tmp_path / "lost.mcap", lost, actions=1)
+    code, said = run(capsys, episode.path, "--move-camera", "0,0,0")
+    assert code == 2
+    assert "name its file with --policy" in said
+
+
+@pytest.mark.parametrize("offset", ["5", "a,b,c"])
+def test_a_wrong_offset(log: str, capsys: pytest.CaptureFixture[str], offset: str) -> None:
+    code, said = run(capsys, log, "--move-camera", offset)
+    assert code == 2
+    assert "three lengths" in said
+
+
+def test_a_file_that_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = run(capsys, tmp_path / "absent.mcap")
+    assert code == 2
+    assert "cannot be read" in said
+
+
+# --- tried again ------------------------------------------------------------------------------
+
+
+def test_a_table_without_a_scene_is_fitted_with_boxes(episode: Episode) -> None:
+    """Three boxes stand on the kinematic table; the physics takes the first as it was taken."""
+    tried = reenact(episode, 1)
+    assert tried.table is TableFrom.HEIGHTMAP
+    assert tried.objects == 3
+    assert tried.likeness > 0.97
+    assert tried.error is None
+    assert tried.outcome is not None
+    assert not isinstance(tried.outcome, PushOutcome)
+
+
+@pytest.mark.slow
+def test_a_simulated_episode_leads_to_the_same_table_bit_for_bit(tmp_path: Path) -> None:
+    config = load_cell(DEFAULT_CELL)
+    simulation = config.simulation.model_copy(update={"carrier": "gantry"})
+    limits = config.episode.model_copy(update={"max_actions": 2})
+    config = config.model_copy(update={"simulation": simulation, "episode": limits})
+    scene = random_scene(3, workspace_of(config), np.random.default_rng(5))
+    log_episode(config, POLICY, tmp_path / "sim.mcap", seed=5, scene=scene)
+    tried = reenact(read_episode(tmp_path / "sim.mcap"), 2)
+    assert tried.table is TableFrom.SCENE
+    assert tried.likeness == 1.0
+    assert tried.outcome == tried.logged
+
+
+def test_a_step_that_is_not_there(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = run(capsys, log, "--reenact", "--from", "9")
+    assert code == 2
+    assert "no step 9" in said
+
+
+@pytest.mark.parametrize(
+    "options", [["--reenact", "--policy", "random"], ["--rerun", "--foxglove"]]
+)
+def test_what_does_not_go_together(
+    log: str, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    with pytest.raises(SystemExit) as exit:
+        main([log, *options])
+    assert exit.value.code == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+# --- pictures and viewers ---------------------------------------------------------------------
+
+
+def test_a_video_has_as_many_pictures_as_it_says(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "out.mp4"
+    code, said = run(capsys, log, "--video", path, "--from", "3", "--speed", "20")
+    assert code == 0
+    video = cv2.VideoCapture(str(path))
+    read, picture = video.read()
+    assert read
+    assert picture.shape == (720, 1280, 3)
+    assert f"{int(video.get(cv2.CAP_PROP_FRAME_COUNT))} pictures" in said
+    seen = picture[60:410, 10:630].astype(int)
+    assert np.abs(seen - 128).mean() < 6  # the fake camera's picture is grey
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_other_videos_are_not_written(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, said = run(capsys, log, "--video", tmp_path / "out.gif")
+    assert code == 2
+    assert "only .mp4 is written" in said
+
+
+@pytest.mark.parametrize(("option", "package"), [("--foxglove", "foxglove"), ("--rerun", "rerun")])
+def test_a_viewer_that_is_not_installed(
+    log: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    option: str,
+    package: str,
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    code, said = run(capsys, log, option)
+    assert code == 2
+    assert "pip install 'tdpg-deploy[view]'" in said
+
+
+def test_a_recording_for_rerun(log: str, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    path = tmp_path / "out.rrd"
+    assert main([log, "--rrd", str(path)]) == 0
+    assert path.read_bytes().startswith(b"RRF")
+    assert path.stat().st_size > 100_000
+
+
+def test_raw_messages_are_all_there_and_channels_are_known_ahead(episode: Episode) -> None:
+    messages = list(raw_messages(episode))
+    topics = {message.topic for message in messages}
+    assert topics <= channels_of(episode).keys()
+    looks = [message.log_time for message in messages if message.topic == "/look"]
+    assert start_of(episode, 1) == looks[0]
+    assert start_of(episode, 3) == looks[2]
