@@ -1,3 +1,5 @@
+"""Stamps against what is known of the delays."""
+
 from __future__ import annotations
 
 import math
@@ -6,7 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tdpg_deploy.drivers.ur5_stamps import WINDOW, Stamps
+from tdpg_deploy.drivers.ur5_stamps import STEP, WINDOW, Stamps
+
+PERIOD = 0.008  # s
 
 
 @settings(deadline=None)
@@ -14,17 +18,18 @@ from tdpg_deploy.drivers.ur5_stamps import WINDOW, Stamps
 def test_delays_are_taken_out(delays: list[float], offset: float) -> None:
     """Stamps keep the spacing of the measurements once the least delay has been seen."""
     stamps = Stamps()
-    times = [0.008 * i for i in range(len(delays))]
-    least = min(delays)
-    before = -math.inf
-    for time, delay in zip(times, delays, strict=True):
-        stamp = stamps.stamp(time, time + offset + delay)
-        assert stamp <= time + offset + delay + 1e-6
-        assert stamp >= time + offset + least - 1e-6
-        assert stamp > before
-        before = stamp
-    last = stamps.stamp(times[-1] + 0.1, times[-1] + 0.1 + offset + 0.05)
-    assert last == pytest.approx(times[-1] + 0.1 + offset + least, abs=1e-6)
+    stamp = received = -math.inf
+    least = math.inf
+    for number, delay in enumerate(delays):
+        measured = number * PERIOD
+        received = max(measured + offset + delay, received + 2 * STEP)  # in order, as TCP does
+        least = min(least, received - measured - offset)
+        before, stamp = stamp, stamps.stamp(measured, received)
+        assert before < stamp <= received + 1e-6
+        assert stamp >= measured + offset + least - 1e-6
+    later = len(delays) * PERIOD + 0.1
+    last = stamps.stamp(later, later + offset + 0.1)
+    assert last == pytest.approx(later + offset + least, abs=1e-6)
 
 
 def test_old_delays_are_forgotten() -> None:
