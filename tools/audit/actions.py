@@ -128,13 +128,14 @@ def _stopped_by_force(step: Step, intent: Intent, outcome: Outcome) -> Finding |
 
 
 def _peak_force(step: Step) -> str:
-    """The highest force and where the tool was then; nothing if the states were not read."""
+    """The highest force among the samples, and where the tool was then; nothing if the states
+    were not read. The guard sees what falls between two samples."""
     if not step.arm_states:
         return ""
     peak = max(step.arm_states, key=lambda state: float(np.linalg.norm(state.force)))
     x, y, z = peak.X_base_tool.translation
     force = float(np.linalg.norm(peak.force))
-    return f"; {force:.1f} N at most, at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    return f"; {force:.1f} N in the samples, at ({x:.3f}, {y:.3f}, {z:.3f}) m"
 
 
 def _grasp(outcome: GraspOutcome) -> Finding | None:

@@ -36,14 +36,16 @@ def compare(one: Tally, other: Tally) -> list[Comparison]:
 
 
 def figures(metrics: Metrics) -> dict[str, Estimate]:
-    """By name. The first three are shares."""
+    """By name; all but motions are shares. Of all episodes, and of those that were completed."""
+    every, completed = metrics.of_all, metrics.of_completed
     return {
         "completion": metrics.completion,
-        "grasp success": metrics.of_all.grasp_success,
-        "action efficiency": metrics.of_all.action_efficiency,
-        "grasp success, completed": metrics.of_completed.grasp_success,
-        "action efficiency, completed": metrics.of_completed.action_efficiency,
-        "motions, completed": metrics.of_completed.motions,
+        "grasp success": every.grasp_success,
+        "action efficiency": every.action_efficiency,
+        "motions": every.motions,
+        "grasp success, completed": completed.grasp_success,
+        "action efficiency, completed": completed.action_efficiency,
+        "motions, completed": completed.motions,
     }
 
 

@@ -111,10 +111,9 @@ def _write_page(page: Page) -> str:
 def _index(logs: Sequence[Listed], tally: Tally) -> str:
     shown = figures(evaluate(tally.rows)) if tally.rows else {}
     data = {
-        "figures": [
-            {"name": name, "value": number(e.value), "low": number(e.low), "high": number(e.high)}
-            for name, e in shown.items()
-        ],
+        "figures": {
+            name: [number(e.value), number(e.low), number(e.high)] for name, e in shown.items()
+        },
         "episodes": [record_data(log.record) | {"action_causes": log.failures} for log in logs],
         "actions": tally.actions,
         "unreadable": [file.why for file in tally.unreadable],

@@ -210,7 +210,7 @@ function draw() {
       episode.seed === null ? null : `seed ${episode.seed}`, `grasps ${episode.grasp_successes}/${episode.grasps}`,
       `pushes ${episode.pushes}`, `refused ${episode.refused}`, episode.commit && `commit ${episode.commit.slice(0, 10)}`,
     ].filter(Boolean).join(" · ")),
-    el("div", { class: "grid" }, findings(data.findings, "Nothing failed in this episode as a whole.")),
+    el("div", { class: "grid" }, findings(data.findings, episode.completed && steps.every((one) => !one.findings.length) ? "Nothing failed." : "This episode was completed; the failures below did not keep it from that.")),
     el("nav", { class: "timeline", "aria-label": "steps" }, steps.map((one, i) => el("button", {
       class: `${one.success || "none"} ${one.kind}`, "aria-current": i === current ? "step" : null, tabindex: 0,
       title: `${i + 1}: ${one.kind}, ${one.findings.length ? one.findings[0].cause : one.success}`, onclick: () => go(i),

@@ -22,20 +22,22 @@ function chosen() {
 
 // --- figures -----------------------------------------------------------------------------------
 
-function figureCard(figure) {
-  const scale = figure.name.startsWith("motions") ? 1 : 100;
-  const unit = scale === 100 ? " %" : "";
+function figureCard(name) {
+  const [value, low, high] = data.figures[name];
+  const scale = name === "motions" ? 1 : 100;
   const text = (v) => (v === null ? "–" : (scale * v).toFixed(1));
-  const top = Math.max(scale === 100 ? 1 : 0, figure.high || 0, figure.value || 0) || 1;
+  const top = Math.max(scale === 100 ? 1 : 0, high || 0, value || 0) || 1;
   const x = (v) => 2 + (196 * (v || 0)) / top;
+  const completed = data.figures[`${name}, completed`];
   return el("section", { class: "card figure" },
-    el("h2", {}, figure.name),
-    el("b", {}, text(figure.value)), unit,
+    el("h2", {}, name),
+    el("b", {}, text(value)), scale === 100 ? " %" : "",
     svg("svg", { class: "interval", viewBox: "0 0 200 14", preserveAspectRatio: "none", "aria-hidden": "true" },
       svg("line", { x1: 2, x2: 198, y1: 7, y2: 7, stroke: "var(--edge)", "stroke-width": 2 }),
-      svg("line", { x1: x(figure.low), x2: x(figure.high), y1: 7, y2: 7, stroke: "var(--accent)", "stroke-width": 4 }),
-      svg("line", { x1: x(figure.value), x2: x(figure.value), y1: 1, y2: 13, stroke: "var(--ink)", "stroke-width": 2 })),
-    el("span", { class: "faded small" }, `95 %: ${text(figure.low)} to ${text(figure.high)}`));
+      svg("line", { x1: x(low), x2: x(high), y1: 7, y2: 7, stroke: "var(--accent)", "stroke-width": 4 }),
+      svg("line", { x1: x(value), x2: x(value), y1: 1, y2: 13, stroke: "var(--ink)", "stroke-width": 2 })),
+    el("span", { class: "faded small" }, `95 %: ${text(low)} to ${text(high)}`,
+      completed ? el("span", { style: "display:block" }, `of completed episodes: ${text(completed[0])}`) : null));
 }
 
 // --- trend -------------------------------------------------------------------------------------
@@ -160,8 +162,8 @@ function draw() {
   const first = all.length ? day(all.reduce((a, e) => (e.started_at < a ? e.started_at : a), all[0].started_at)) : "";
   document.body.replaceChildren(el("main", {},
     el("h1", {}, `${all.length} episodes, ${data.actions} actions`),
-    el("p", { class: "faded" }, first ? `since ${first}` : "", data.unreadable.length ? `; ${data.unreadable.length} files were not read` : ""),
-    el("div", { class: "grid figures" }, data.figures.map(figureCard)),
+    el("p", { class: "faded" }, first ? `since ${first}` : "", data.unreadable.length ? `; not read: ${data.unreadable.length}` : ""),
+    el("div", { class: "grid figures" }, Object.keys(data.figures).filter((name) => !name.includes(",")).map(figureCard)),
     el("div", { class: "row", style: "margin-top:22px" },
       select("cause", "cause", causes),
       select("policy", "policy", distinct(all.map((e) => e.policy))),
@@ -171,8 +173,9 @@ function draw() {
       el("span", { class: "faded small", id: "count" }, `${shown.length} of ${all.length} episodes`)),
     el("div", { class: "grid two" },
       card("grasp success", ...trend(shown)),
-      card(`why ${failed} of ${actions} actions failed`, causeBars(countCauses(shown)))),
-    countEnds(shown).length ? el("div", { class: "grid" }, card("why episodes failed", causeBars(countEnds(shown)))) : null,
+      el("div", { class: "side" },
+        card(`why ${failed} of ${actions} actions failed`, causeBars(countCauses(shown))),
+        countEnds(shown).length ? card("why episodes failed", causeBars(countEnds(shown))) : null)),
     el("div", { class: "grid" }, card("episodes", list(shown))),
     data.unreadable.length ? el("div", { class: "grid" }, card("not read", el("ul", {}, data.unreadable.map((why) => el("li", { class: "mono" }, why))))) : null));
 }

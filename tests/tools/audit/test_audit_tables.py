@@ -1,0 +1,127 @@
+"""Rows, Parquet, SQL, and the command."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import duckdb
+import pyarrow.parquet as pq
+import pytest
+from audited_logs import make_logs
+
+from tools.audit.cli import main
+from tools.audit.parquet import ACTIONS, EPISODES
+from tools.audit.rows import ActionRecord, EpisodeRecord
+from tools.audit.run import find_logs
+from tools.evaluate.rows import read_row
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    make_logs(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tables(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("tables")
+    assert main([str(logs), "--out", str(out), "--workers", "1"]) == 3  # one is not a log
+    return out
+
+
+def test_the_tables_have_the_records_columns(tables: Path) -> None:
+    for file, kind in ((EPISODES, EpisodeRecord), (ACTIONS, ActionRecord)):
+        assert pq.read_schema(tables / file).names == [field.name for field in fields(kind)]
+
+
+def test_the_tables_say_what_the_logs_say(logs: Path, tables: Path) -> None:
+    with duckdb.connect() as connection:
+        rows = connection.execute(
+            f"SELECT episode, actions, grasps, grasp_successes, seed FROM '{tables / EPISODES}' "
+            "WHERE reason IS NOT NULL ORDER BY episode"
+        ).fetchall()
+        numbers = connection.execute(
+            f"SELECT episode, count(*), count(cause) FROM '{tables / ACTIONS}' "
+            "GROUP BY 1 ORDER BY 1"
+        ).fetchall()
+    assert [row[0] for row in rows] == ["night 0/episode0", "night 0/episode1", "night 1/episode2"]
+    for name, actions, grasps, successes, seed in rows:
+        row = read_row(logs / f"{name}.mcap", scene="")
+        assert (row.actions, row.grasps, row.grasp_successes, row.seed) == (
+            actions, grasps, successes, seed,
+        )  # fmt: skip
+    assert numbers[0][0] == "cut"
+    assert numbers[1:] == [(row[0], 3, 2) for row in rows]  # yes, no, unknown
+
+
+def test_two_processes_give_the_same_tables(logs: Path, tables: Path, tmp_path: Path) -> None:
+    main([str(logs), "--out", str(tmp_path), "--workers", "2"])
+    for file in (EPISODES, ACTIONS):
+        assert pq.read_table(tmp_path / file).to_pylist().__repr__() == (
+            pq.read_table(tables / file).to_pylist().__repr__()
+        )
+
+
+def test_sql(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query = "SELECT a.kind, count(*) AS n FROM actions a JOIN episodes USING (episode) GROUP BY 1"
+    assert main([str(logs), "--workers", "1", "--sql", query]) == 3
+    assert "grasp" in capsys.readouterr().out
+
+
+def test_bad_sql_is_told(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(logs), "--workers", "1", "--sql", "SELECT nonsense FROM actions"]) == 2
+    assert "nonsense" in capsys.readouterr().out
+
+
+def test_the_summary_names_causes_and_what_was_not_read(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(logs), "--workers", "1"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "4 episodes (1 truncated)" in shown
+    assert "finger on object" in shown
+    assert "none.mcap: not an MCAP file" in shown
+
+
+def test_comparison_with_itself_finds_no_difference(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([str(logs), "--workers", "1", "--compare", str(logs)])
+    shown = capsys.readouterr().out
+    assert "grasp success" in shown
+    assert "clear" not in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["nowhere"], "no such folder"), (["{empty}"], "no logs"), (["{logs}", "--serve"], "--html")],
+)
+def test_bad_input(
+    logs: Path, tmp_path: Path, arguments: list[str], message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    places = {"empty": str(tmp_path), "logs": str(logs)}
+    assert main([argument.format(**places) for argument in arguments]) == 2
+    assert message in capsys.readouterr().out
+
+
+def test_logs_are_found_below_the_folder(logs: Path) -> None:
+    found = [path.relative_to(logs).as_posix() for path in find_logs(logs)]
+    assert found == [
+        "cut.mcap.part", "night 0/episode0.mcap", "night 0/episode1.mcap",
+        "night 1/episode2.mcap", "none.mcap",
+    ]  # fmt: skip
+
+
+def test_help_is_light() -> None:
+    heavy = ["torch", "cv2", "scipy", "numpy", "pyarrow", "duckdb", "mcap"]
+    code = (
+        "import sys, tools.audit.cli as cli; cli.parser(); "
+        f"print([m for m in {heavy} if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
