@@ -32,17 +32,15 @@ def parser() -> argparse.ArgumentParser:
     _add_board(board)
 
     solve = commands.add_parser("solve", help="solve from pictures and poses in files")
-    solve.add_argument("--images", type=Path, required=True, metavar="DIR")
+    solve.add_argument("--record", type=Path, metavar="FILE", help="an MCAP of `collect`, instead")
+    solve.add_argument("--images", type=Path, metavar="DIR")
     solve.add_argument(
         "--poses",
         type=Path,
-        required=True,
         metavar="FILE",
         help="CSV: image,x,y,z,rx,ry,rz (rotation vector) or image,x,y,z,qx,qy,qz,qw; m, rad",
     )
-    solve.add_argument(
-        "--lens", type=Path, required=True, metavar="FILE", help="YAML: fx, fy, cx, cy, ..."
-    )
+    solve.add_argument("--lens", type=Path, metavar="FILE", help="YAML: fx, fy, cx, cy, ...")
     solve.add_argument("--mounting", choices=["eye-to-hand", "eye-in-hand"], default="eye-to-hand")
     solve.add_argument("--serial", default="unknown", help="of the camera")
     solve.add_argument("--out", type=Path, default=Path("calibration.yaml"), metavar="FILE")

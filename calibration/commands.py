@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
+from calibration.collect import view_of
+from calibration.depth import DepthSamples, fit_depth, sample_depth
 from calibration.detect import self_test
 from calibration.exchange import (
     export_easy_handeye,
@@ -27,12 +31,14 @@ from calibration.file import (
 )
 from calibration.folder import read_lens, read_picture, read_views
 from calibration.printing import write_board
+from calibration.record import read_record, record_hash
 from calibration.report import ReportInputs, write_html
 from calibration.solve import HandEye, solve
 from calibration.target import CharucoTarget
-from calibration.verify import HeldOut, Jackknife, hold_out
-from calibration.views import Mounting
+from calibration.verify import HeldOut, Jackknife, hold_out, predicted_board
+from calibration.views import Mounting, View
 from tdpg_deploy.errors import CalibrationError
+from tdpg_deploy.hal import Intrinsics
 
 
 def run(args: argparse.Namespace, console: Console) -> int:
@@ -65,34 +71,43 @@ def _board(args: argparse.Namespace, console: Console) -> int:
 
 def _solve(args: argparse.Namespace, console: Console) -> int:
     self_test()
-    target, lens = _target(args), read_lens(args.lens)
-    views, rejected = read_views(args.images, args.poses, target, lens)
-    for picture in rejected:
-        console.print(f"{picture.name}: {'; '.join(picture.problems)}", style="yellow")
-    if not views:
+    target = _target(args)
+    taken = _from_record(args, target) if args.record else _from_folder(args, target)
+    for name, problems in taken.rejected.items():
+        console.print(f"{name}: {'; '.join(problems)}", style="yellow")
+    if not taken.views:
         raise CalibrationError(
-            f"the board is in none of the {len(rejected)} pictures; see the reasons above"
+            f"the board is in none of the {len(taken.rejected)} pictures; see the reasons above"
         )
     corners = target.corners()
-    found = solve(views, corners, lens, Mounting(args.mounting))
+    found = solve(taken.views, corners, taken.lens, Mounting(args.mounting))
     checks: tuple[HeldOut, Jackknife] | tuple[None, None] = (None, None)
+    depth = None
     try:
-        checks = hold_out(found, views, corners, lens)
-    except CalibrationError as error:  # a result from few views still stands
+        checks = hold_out(found, taken.views, corners, taken.lens)
+        if taken.depths:
+            depth = fit_depth(_depth_samples(taken, found, target))
+    except CalibrationError as error:  # the pose still stands
         console.print(str(error), style="yellow")
     calibration = make_calibration(
-        found, target, serial=args.serial, date=datetime.now(timezone.utc)
+        found,
+        target,
+        serial=taken.serial,
+        date=datetime.now(timezone.utc),
+        depth=depth,
+        record_sha256=record_hash(args.record) if args.record else None,
     )
     save_calibration(calibration, args.out)
     page = write_html(
         ReportInputs(
             found=found,
-            views=views,
+            views=taken.views,
             board_corners=corners,
-            rejected={picture.name: picture.problems for picture in rejected},
+            rejected=taken.rejected,
             held_out=checks[0],
             jackknife=checks[1],
-            pictures={view.name: read_picture(args.images / view.name, lens) for view in views},
+            depth=None if depth is None else depth[1],
+            pictures=taken.pictures,
         )
     )
     try:
@@ -102,6 +117,70 @@ def _solve(args: argparse.Namespace, console: Console) -> int:
     console.print(summary(found))
     console.print(f"{args.out}, {args.report}")
     return 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Taken:
+    """What there is to solve from. pictures (grey) and depths (m) by view name."""
+
+    views: Sequence[View]
+    rejected: dict[str, tuple[str, ...]]
+    lens: Intrinsics
+    serial: str
+    pictures: dict[str, npt.NDArray[np.uint8]]
+    depths: dict[str, npt.NDArray[np.float32]]
+
+
+def _from_folder(args: argparse.Namespace, target: CharucoTarget) -> _Taken:
+    missing = [name for name in ("images", "poses", "lens") if getattr(args, name) is None]
+    if missing:
+        raise CalibrationError(f"give --{missing[0]} as well, or --record alone")
+    lens = read_lens(args.lens)
+    views, rejected = read_views(args.images, args.poses, target, lens)
+    return _Taken(
+        views=views,
+        rejected={picture.name: picture.problems for picture in rejected},
+        lens=lens,
+        serial=args.serial,
+        pictures={view.name: read_picture(args.images / view.name, lens) for view in views},
+        depths={},
+    )
+
+
+def _from_record(args: argparse.Namespace, target: CharucoTarget) -> _Taken:
+    record = read_record(args.record)
+    if not record:
+        raise CalibrationError(f"{args.record}: holds no whole view; collect again")
+    views, rejected = [], {}
+    for recorded in record:
+        view, problems = view_of(recorded, target)
+        if view is None:
+            rejected[recorded.name] = problems
+        else:
+            views.append(view)
+    return _Taken(
+        views=views,
+        rejected=rejected,
+        lens=record[0].intrinsics,
+        serial=record[0].serial,
+        pictures={r.name: r.color.mean(axis=2).astype(np.uint8) for r in record},
+        depths={r.name: r.depth for r in record},
+    )
+
+
+def _depth_samples(taken: _Taken, found: HandEye, target: CharucoTarget) -> list[DepthSamples]:
+    used = {view.name for view in found.views if view.used}
+    return [
+        sample_depth(
+            taken.depths[view.name],
+            target,
+            predicted_board(found, view),
+            found.intrinsics,
+            found.board_scale,
+        )
+        for view in taken.views
+        if view.name in used
+    ]
 
 
 def summary(found: HandEye) -> Table:
