@@ -17,6 +17,7 @@ from tdpg_deploy.sim.world import World
 # Real joints and rubber tips give way, so that a controller has time to see a force and to stop.
 RIGID = 80.0  # N; more is an obstacle, less is something that is pushed
 STIFFNESS = 20_000.0  # N/m of the arm and its tips, against obstacles
+GONE_AFTER = 12  # steps without contact until an obstacle is believed to be gone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +42,7 @@ class WorldPlant:
         self._lately = deque([self.q] * 3, maxlen=3)  # joints at the last three steps
         self._ahead = 0.0  # s of the controller that the world has not been stepped for yet
         self._obstacle: _Obstacle | None = None
+        self._untouched = 0  # steps in a row without a contact
 
     @property
     def q(self) -> Array:
@@ -67,8 +69,11 @@ class WorldPlant:
             self._step(before + (q_target - before) * (since / dt))
 
     def _step(self, q_target: Array) -> None:
-        if self._obstacle is not None and self._depth(self._obstacle, q_target) <= 0:
-            self._obstacle = None  # the target has come back
+        if self._obstacle is not None and (
+            self._depth(self._obstacle, q_target) <= 0  # the target has come back
+            or self._untouched >= GONE_AFTER  # fingers have let go, or what stood there has slid
+        ):
+            self._obstacle = None
         held = self._obstacle is not None
         self._robot.drive((self._obstacle.q if self._obstacle else q_target).tolist())
         self._before_step()
@@ -76,6 +81,7 @@ class WorldPlant:
         self._lately.append(self.q)
         force = self._robot.force()
         pressed = float(np.linalg.norm(force))
+        self._untouched = 0 if pressed > 0 else self._untouched + 1
         if not held and pressed > RIGID:
             q = self.q
             self._obstacle = _Obstacle(q=q, p_base_tip=self._place(q), direction=force / pressed)
