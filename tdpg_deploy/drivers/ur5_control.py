@@ -44,7 +44,7 @@ class ControlProcess:
         theirs.close()
         self._number = 0
         try:
-            self._await_answer("to connect", deadline)
+            self._await_answer("connecting", deadline)
         except ArmError:
             self.kill()
             raise
