@@ -31,6 +31,26 @@ def parser() -> argparse.ArgumentParser:
     board.add_argument("--dpi", type=int, default=600, help="of a PNG (default: 600)")
     _add_board(board)
 
+    collect = commands.add_parser(
+        "collect", help="let the arm show a held board to the fixed camera, and record views"
+    )
+    collect.add_argument(
+        "--config", type=Path, metavar="FILE", help="cell file; its camera pose is the first guess"
+    )
+    collect.add_argument("--record", type=Path, default=Path("calibration.mcap"), metavar="FILE")
+    collect.add_argument(
+        "--board-pose",
+        type=float,
+        nargs=6,
+        required=True,
+        metavar=("X", "Y", "Z", "RX", "RY", "RZ"),
+        help="first guess of the board in the tool; m, rad",
+    )
+    collect.add_argument("--goal", type=float, default=1e-4, metavar="M", help="predicted error")
+    collect.add_argument("--seed", type=int, default=0, metavar="N")
+    collect.add_argument("--real", action="store_true", help="move the real arm")
+    _add_board(collect)
+
     solve = commands.add_parser("solve", help="solve from pictures and poses in files")
     solve.add_argument("--record", type=Path, metavar="FILE", help="an MCAP of `collect`, instead")
     solve.add_argument("--images", type=Path, metavar="DIR")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
-from calibration.collect import view_of
+from calibration.collect import Plan, Progress, collect, view_of
 from calibration.depth import DepthSamples, fit_depth, sample_depth
 from calibration.detect import self_test
 from calibration.exchange import (
@@ -31,6 +31,7 @@ from calibration.file import (
 )
 from calibration.folder import read_lens, read_picture, read_views
 from calibration.printing import write_board
+from calibration.projection import Estimate
 from calibration.record import read_record, record_hash
 from calibration.report import ReportInputs, write_html
 from calibration.solve import HandEye, solve
@@ -38,12 +39,14 @@ from calibration.target import CharucoTarget
 from calibration.verify import HeldOut, Jackknife, hold_out, predicted_board
 from calibration.views import Mounting, View
 from tdpg_deploy.errors import CalibrationError
+from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics
 
 
 def run(args: argparse.Namespace, console: Console) -> int:
     commands: dict[str, Callable[[argparse.Namespace, Console], int]] = {
         "board": _board,
+        "collect": _collect,
         "solve": _solve,
         "verify": _verify,
         "import": _import,
@@ -66,6 +69,43 @@ def _target(args: argparse.Namespace) -> CharucoTarget:
 def _board(args: argparse.Namespace, console: Console) -> int:
     write_board(_target(args), args.file, dpi=args.dpi)
     console.print(f"{args.file}: print at 100 %, then measure the line and a row of squares")
+    return 0
+
+
+def _collect(args: argparse.Namespace, console: Console) -> int:
+    # Drivers and simulation are loaded only here, where something moves.
+    from calibration.approach import Approach
+    from tdpg_deploy.cell import open_cell
+    from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+
+    self_test()
+    config = load_cell(args.config or DEFAULT_CELL)
+    x, y = config.workspace.center
+    side, table_z = np.linspace(-0.224, 0.224, 5), config.workspace.table_z
+    grid = np.stack(np.meshgrid(x + side, y + side, [table_z, table_z + 0.1]), axis=-1)
+
+    def tell(now: Progress) -> None:
+        used = "used" if not now.problems else "; ".join(now.problems)
+        console.print(
+            f"{now.name}: {used}; {now.views} views, {now.deviation * 1e3:.3f} mm predicted"
+        )
+
+    with open_cell(config, real=args.real) as cell:
+        plan = Plan(
+            mounting=Mounting.EYE_TO_HAND,
+            target=_target(args),
+            guess=Estimate(
+                X_parent_camera=config.X_base_camera,
+                X_parent_board=Transform.from_rotation_vector(args.board_pose),
+                intrinsics=cell.camera.intrinsics,
+            ),
+            p_workspace=grid.reshape(-1, 3),
+            table_z=table_z,
+            goal=args.goal,
+        )
+        rng = np.random.default_rng(args.seed)
+        collect(cell, Approach(config, cell.arm), plan, args.record, rng, tell)
+    console.print(f"{args.record}: solve it with tdpg-calibrate solve --record {args.record}")
     return 0
 
 

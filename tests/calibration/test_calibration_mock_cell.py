@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +11,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration.approach import Approach
+from calibration.cli import main
 from calibration.collect import Plan, Progress, collect, view_of
-from calibration.depth import fit_depth, sample_depth
+from calibration.file import load_calibration
 from calibration.pictures import paint_board
 from calibration.projection import Estimate
 from calibration.record import read_record
 from calibration.solve import solve
 from calibration.target import CharucoTarget
-from calibration.verify import predicted_board
 from calibration.views import Mounting
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, Pose, load_cell
@@ -146,10 +147,15 @@ def test_the_tool_lands_where_the_camera_saw_the_point(config: CellConfig, tmp_p
     landed = found.X_base_camera @ (X_true.inverse() @ p_base)
     assert np.linalg.norm(landed - p_base, axis=1).max() < 0.5e-3
 
-    by_name = {r.name: r for r in record}
-    samples = [
-        sample_depth(by_name[v.name].depth, TARGET, predicted_board(found, v), found.intrinsics)
-        for v in views
-    ]
-    _, quality = fit_depth(samples)
-    assert abs(quality.left) < 0.1e-3
+    board = ["--columns", "7", "--rows", "5", "--square", "0.024", "--marker", "0.018"]
+    out = tmp_path / "calibration.yaml"
+    page = tmp_path / "calibration.html"
+    files = ["--record", str(path), "--out", str(out), "--report", str(page)]
+    assert main(["solve", *files, *board]) == 0
+    calibration = load_calibration(out)
+    assert calibration.record_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert calibration.camera.serial == "simulated"
+    assert calibration.depth is not None
+    assert abs(calibration.depth.left) < 0.1e-3
+    distance, angle = calibration.pose.transform().distance(found.X_base_camera)
+    assert max(distance, angle) < 1e-9
