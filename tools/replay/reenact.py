@@ -17,6 +17,7 @@ from policies.heightmap import Heightmap
 from policies.primitives import Primitive
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.episode import witnessed
+from tdpg_deploy.episode_log import documents
 from tdpg_deploy.episode_log.entries import Intent, Look, Step
 from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.errors import DeviceError, LogError, SceneError
@@ -54,6 +55,13 @@ class Tried:
     logged: Outcome | None
     outcome: Outcome | None
     error: str | None
+
+    @property
+    def same(self) -> bool:
+        """Whether both outcomes are known and the same, bit for bit; nan is like nan."""
+        if self.logged is None or self.outcome is None:
+            return False
+        return documents.encode(self.logged) == documents.encode(self.outcome)
 
 
 def reenact(episode: Episode, number: int) -> Tried:

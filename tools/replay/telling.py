@@ -145,7 +145,7 @@ def tell_tried(tried: Tried) -> Iterator[Line]:
         "here",
         tried.error or ("no outcome" if tried.outcome is None else _outcome(tried.outcome)),
     )
-    if logged is not None and tried.outcome == logged:
+    if tried.same:
         yield "", "the same, bit for bit"
 
 
