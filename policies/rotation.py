@@ -12,6 +12,7 @@ from border to border, `grid_sample`'s convention, and so hold for every stride 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -109,7 +110,7 @@ def positions(rotations: torch.Tensor, rows: torch.Tensor, cols: torch.Tensor) -
 
 
 def patches(
-    states: torch.Tensor,
+    states: torch.Tensor | Sequence[torch.Tensor],
     rotations: torch.Tensor,
     rows: torch.Tensor,
     cols: torch.Tensor,
@@ -119,7 +120,7 @@ def patches(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Cut the pictures around actions, without making the pictures.
 
-    states: (n, C, 224, 224); rotations, rows, cols: (n,) int64, one action for each state.
+    states: n of (C, 224, 224); rotations, rows, cols: (n,) int64, one action for each state.
     size: pixels a side; stride: the network's total stride, to whose lattice the cut is
     aligned, so that a network whose receptive field fits sees what it sees in the picture.
     Returns patches (n, C, size, size) and the actions' places in them (n, 2) in [-1, 1].

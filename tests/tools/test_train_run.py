@@ -100,7 +100,7 @@ def test_goals_are_fetched_one_after_another(tmp_path: Path) -> None:
     torch.manual_seed(0)
     agnostic = PolicyConfig(network="light", width=4, goal=False, method="grasp-only")
     network = LightNet(goal=False, width=4)
-    save_checkpoint(tmp_path / "start.safetensors", network, agnostic, {})
+    sha256 = save_checkpoint(tmp_path / "start.safetensors", network, agnostic, {"actions": 7})
     config = overridden(
         TrainConfig(
             width=4,
@@ -114,6 +114,7 @@ def test_goals_are_fetched_one_after_another(tmp_path: Path) -> None:
     )
     policy = load_checkpoint(trainer.train(config, tmp_path / "run", on_progress=lambda _: None))
     assert policy.config.goal
+    assert policy.provenance["start"] == {"sha256": sha256, "actions": 7}
     stem = policy.weights["stem.weight"]
     torch.testing.assert_close(stem[:, :6], network.stem.weight.detach(), rtol=0, atol=0)
     assert not stem[:, 6].any()

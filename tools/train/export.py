@@ -69,7 +69,8 @@ def card_of(
 ) -> str:
     """The card, as Markdown."""
     experiment = provenance["experiment"]
-    actions = provenance["actions"]
+    start = provenance.get("start")
+    actions = provenance["actions"] + (start["actions"] if start else 0)
     budget = "within" if actions <= PAPER_BUDGET else "beyond"
     validation = provenance["validation"] or {}
     figures = [f"{figure}: {value:.3f}" for figure, value in validation.items()]
@@ -81,9 +82,14 @@ def card_of(
         f"{config['width']}. SHA-256 `{sha256}`.",
         "## Training",
         f"{actions} actions, {budget} the paper's budget of {PAPER_BUDGET}; "
-        f"{provenance['updates']} updates. Simulated tables of random blocks, with the D435's "
-        "noise and the randomisation below. Nothing real was learnt from.",
-        f"Command: `{provenance['command']}`, commit `{provenance.get('commit') or 'unknown'}`.",
+        f"{provenance['updates']} updates in the last run. Simulated tables of random blocks, "
+        "with the D435's noise and the randomisation below. Nothing real was learnt from.",
+        f"{start['actions']} of the actions made the weights that it began with, "
+        f"`{start['sha256']}`."
+        if start
+        else "It began with fresh weights.",
+        f"Made by tdpg-train of commit `{provenance.get('commit') or 'unknown'}` with the "
+        "experiment below.",
         "## Figures while training",
         "Greedy episodes on validation tables; see docs/results.md for the test.\n\n"
         + "\n".join(f"- {line}" for line in figures or ["none were taken"]),

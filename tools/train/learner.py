@@ -103,7 +103,7 @@ class Learner:
         count = actions.shape[1]
         states = _states(replay, batch["next_look"][going_on])
         cuts, places = patches(
-            states.repeat_interleave(count, 0),
+            [state for state in states for _ in range(count)],
             *(torch.from_numpy(actions[..., i].reshape(-1)) for i in range(3)),
             size=LightNet.PATCH,
             stride=LightNet.STRIDE,

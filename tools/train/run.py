@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import math
 import os
-import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -50,6 +48,7 @@ class Run:
         self.round = 0
         self._played = 0
         self._updates = 0
+        self._start: dict[str, Any] | None = None
         self._actor = network
         self._learner = Learner(
             copy.deepcopy(network), config.learning, critic_two=config.critic_two
@@ -62,8 +61,9 @@ class Run:
             self._replay.restore(state["replay"])
             self.round, self._played = state["round"], state["played"]
             self._updates = state["updates"]
+            self._start = state["start"]
         elif config.start is not None:
-            weights = _weights(config.start, self._policy("grasp"))
+            weights, self._start = _begin_with(config.start, self._policy("grasp"))
             self._actor.load_state_dict(weights)
             self._learner.network.load_state_dict(weights)
 
@@ -165,6 +165,7 @@ class Run:
             "round": self.round,
             "played": self._played,
             "updates": self._updates,
+            "start": self._start,
         }
         part = self._directory / (STATE + ".part")
         torch.save(state, part)
@@ -199,8 +200,8 @@ class Run:
 
     def _save_policy(self, path: Path, network: LightNet, kind: StageKind) -> None:
         provenance: dict[str, Any] = {
-            "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            "experiment": self._config.model_dump(mode="json"),
+            "experiment": self._config.model_dump(mode="json", exclude={"start"}),
+            "start": self._start,
             "actions": self._played,
             "updates": self._updates,
             "commit": software.commit(),
@@ -215,9 +216,12 @@ def shares(left: int, workers: int, most: int) -> list[int]:
     return [actions for actions in even if actions]
 
 
-def _weights(path: Path, policy: PolicyConfig) -> dict[str, torch.Tensor]:
-    """Of a policy file. Weights that know no goal can learn to fetch one: the goal's channel
-    begins at zero. Raises ConfigError when they are of another network."""
+def _begin_with(path: Path, policy: PolicyConfig) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Weights of a policy file, and their provenance: identity and actions learnt from so far.
+
+    Weights that know no goal can learn to fetch one: the goal's channel begins at zero. Raises
+    ConfigError when they are of another network.
+    """
     start = load_checkpoint(path)
     for name in ("network", "width"):
         theirs, ours = getattr(start.config, name), getattr(policy, name)
@@ -231,7 +235,11 @@ def _weights(path: Path, policy: PolicyConfig) -> dict[str, torch.Tensor]:
         raise ConfigError(f"{path}: these weights expect a goal, the experiment has none")
     if policy.goal and not start.config.goal:
         weights["stem.weight"] = F.pad(weights["stem.weight"], (0, 0, 0, 0, 0, 1))
-    return weights
+    earlier = start.provenance.get("start") or {"actions": 0}
+    return weights, {
+        "sha256": start.sha256,
+        "actions": start.provenance.get("actions", 0) + earlier["actions"],
+    }
 
 
 def _between(first: float, last: float, share: float) -> float:
