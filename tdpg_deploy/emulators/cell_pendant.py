@@ -25,14 +25,15 @@ class CellPendant(Pendant):
         name, *pairs = line.split()
         if name not in self.commands():
             return {"error": f"no such command: {name}; there are {', '.join(self.commands())}"}
+        takes = inspect.signature(getattr(self, name))
         try:
-            arguments = {
-                key: json.loads(value) for key, _, value in (p.partition("=") for p in pairs)
-            }
-            inspect.signature(getattr(self, name)).bind(**arguments)
+            given = (pair.partition("=") for pair in pairs)
+            arguments = {key: json.loads(value) for key, _, value in given}
+            takes.bind(**arguments)
         except (ValueError, TypeError) as error:
-            usage = inspect.signature(getattr(self, name))
-            return {"error": f"{name}: {error}; its arguments are {usage}"}
+            return {
+                "error": f"{name}: {error}; it takes {', '.join(takes.parameters) or 'nothing'}"
+            }
         return await self.perform({"do": name, **arguments})
 
     @classmethod

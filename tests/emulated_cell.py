@@ -1,0 +1,169 @@
+"""A tdpg-emulate of its own for tests, and a policy that sees and grasps the same every time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from ur_rig import new_host, processes_of
+
+from policies.decide import allowed, best_grasps, to_primitive
+from policies.errors import NoActionError
+from policies.heightmap import SIZE, Heightmap
+from policies.policy import ROTATIONS, Decision, QMaps
+from policies.primitives import Primitive
+from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.emulators.cell_file import CAMERA_PORT, format_cell
+
+END_LIMIT = 20.0  # s
+PORTS = (29999, 30003, 30004, 63352, 54321, CAMERA_PORT)
+STILL = 1e-3  # rad/s
+
+SCENE_HEAD = 'version = 1\nframe = "base"\nlength = "m"\nquaternion = "xyzw"\n'
+
+
+def cubes(directory: Path, *places: tuple[float, float]) -> Path:
+    """A scene file of 50 mm cubes that stand at these places (x, y) of the table, m."""
+    file = directory / "scene.toml"
+    objects = [
+        f'[[object]]\nshape = "cube"\nposition = [{x}, {y}, -0.125]\n'
+        "quaternion = [0.0, 0.0, 0.0, 1.0]\nrgb = [225, 87, 89]\n"
+        for x, y in places
+    ]
+    file.write_text(SCENE_HEAD + "".join(objects))
+    return file
+
+
+def small_cell(**gripper: object) -> CellConfig:
+    """The mock cell on an address of its own, with a camera that costs little to draw and whose
+    pictures may be late."""
+    config = load_cell(DEFAULT_CELL)
+    camera = {"width": 640, "fps": 6, "max_frame_age": 2.0}
+    return config.model_copy(
+        update={
+            "arm": config.arm.model_copy(update={"host": new_host()}),
+            "camera": config.camera.model_copy(update=camera),
+            "gripper": config.gripper.model_copy(update=gripper),
+            "simulation": config.simulation.model_copy(update={"depth_noise": False}),
+        }
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmulatorRig:
+    """config: the file that tdpg-emulate wrote."""
+
+    config: Path
+    process: subprocess.Popen[str]
+
+    @property
+    def host(self) -> str:
+        return load_cell(self.config).arm.host
+
+    def type(self, command: str) -> dict[str, Any]:
+        """What is answered to this line."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(f"{command}\n")
+        self.process.stdin.flush()
+        answer: dict[str, Any] = json.loads(self.process.stdout.readline())
+        return answer
+
+    def do(self, command: str) -> Any:
+        """What a command returns."""
+        answer = self.type(command)
+        assert "error" not in answer, answer
+        return answer["ok"]
+
+    def wait_for_motion(self, *, deadline: float = 60.0) -> None:
+        end = time.monotonic() + deadline
+        while self.do("truth")["speed"] < 0.2:
+            assert time.monotonic() < end, "the arm did not move"
+            time.sleep(0.01)
+
+    def wait_for_rest(self, *, deadline: float = 5.0) -> None:
+        end = time.monotonic() + deadline
+        while self.do("truth")["speed"] > STILL:
+            assert time.monotonic() < end, "the arm still moves"
+            time.sleep(0.01)
+
+    def stands_still(self) -> bool:
+        """For a second of the cell's time."""
+        before = self.do("truth")
+        while (now := self.do("truth"))["time"] < before["time"] + 1.0:
+            time.sleep(0.01)
+        return bool(np.abs(np.subtract(now["q"], before["q"])).max() < 1e-3)
+
+
+@contextmanager
+def emulator(directory: Path, config: CellConfig, *arguments: str | Path) -> Iterator[EmulatorRig]:
+    """A running tdpg-emulate, ended by Ctrl-C, of which nothing is left afterwards."""
+    asked, written = directory / "cell.toml", directory / "emulated.toml"
+    asked.write_text(format_cell(config))
+    command = [sys.executable, "-m", "tdpg_deploy.cli.emulate", str(asked)]
+    process = subprocess.Popen(
+        [*command, *map(str, arguments), "--write-config", str(written)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    try:
+        assert process.stdout is not None
+        for line in process.stdout:  # ends with the process
+            if line.startswith("commands"):
+                break
+        assert process.poll() is None, "tdpg-emulate did not start"
+        yield EmulatorRig(config=written, process=process)
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            code = process.wait(END_LIMIT)
+        finally:
+            process.kill()
+            process.communicate()
+    assert code == 0
+    assert processes_of(config.arm.host) == {}
+    for port in PORTS:
+        with socket.socket() as probe:
+            assert probe.connect_ex((config.arm.host, port)) != 0, f"{port} still listens"
+
+
+class TallestGrasp:
+    """Grasps where the table is highest, the fingers along one axis if they may."""
+
+    def decide(
+        self, heightmap: Heightmap, rng: np.random.Generator, *, avoid: Sequence[Primitive] = ()
+    ) -> Decision:
+        height = gaussian_filter(np.nan_to_num(heightmap.height), 4.0)
+        preference = -1e-3 * np.arange(ROTATIONS)[:, None, None]
+        maps = QMaps(
+            grasp=(height + preference).astype(np.float32),
+            push=np.full((ROTATIONS, SIZE, SIZE), -np.inf, np.float32),
+        )
+        grasps = best_grasps(allowed(maps, heightmap, avoid), rng, count=1)
+        if not grasps:
+            raise NoActionError("nothing to grasp")
+        (grasp,) = grasps
+        return Decision(
+            primitive=to_primitive(grasp, heightmap),
+            rotation=grasp.rotation,
+            row=grasp.row,
+            col=grasp.col,
+            q=grasp.q,
+            maps=maps,
+            verdict=None,
+            seconds={},
+        )

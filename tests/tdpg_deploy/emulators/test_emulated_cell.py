@@ -1,0 +1,202 @@
+"""The whole way through the true wires: tdpg-run --real on tdpg-emulate, healthy and not."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emulated_cell import EmulatorRig, TallestGrasp, cubes, emulator, small_cell
+from mcap.reader import make_reader
+from ur_rig import processes_of
+
+from policies.shipped import NamedPolicy
+from tdpg_deploy.cell import open_cell
+from tdpg_deploy.cell_config import load_cell
+from tdpg_deploy.cli import session
+from tdpg_deploy.cli.emulate import main as emulate
+from tdpg_deploy.cli.run import main
+from tdpg_deploy.drivers.ur5_network import RTDE_PORT
+from tdpg_deploy.emulators.cell_file import format_cell
+from tdpg_deploy.emulators.cell_pendant import CellPendant
+from tdpg_deploy.episode_log.channels import REFUSAL
+from tdpg_deploy.episode_log.reader import read_episode
+from tdpg_deploy.outcome import EndReason
+from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.sim.scenes import random_scene
+from tdpg_deploy.workspace import workspace_of
+
+DOCS = Path(__file__).parents[3] / "docs"
+PLACES = ((0.50, 0.10), (0.43, -0.08), (0.60, -0.06), (0.58, 0.16))
+PIXEL = 0.002  # m
+
+
+@pytest.fixture(autouse=True)
+def tallest_grasp(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What tdpg-run decides by, in this process."""
+    policy = NamedPolicy(name="tallest", decider=TallestGrasp(), sha256=None)
+    monkeypatch.setattr(session, "open_policy", lambda _: policy)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatorRig]:
+    """One cell with four cubes, for all faults: none of them takes more than one away."""
+    directory = tmp_path_factory.mktemp("cell")
+    scene = cubes(directory, *PLACES)
+    with emulator(directory, small_cell(), "--scene", scene, "--pace", "2") as rig:
+        yield rig
+
+
+def run_real(rig: EmulatorRig, out: Path) -> int:
+    options = ("--real", "--unattended", "--speed", "1", "--config", rig.config, "--out", out)
+    return main([str(option) for option in options])
+
+
+def kinds(log: Path) -> set[tuple[str, str, str]]:
+    """Topic, schema and encoding of every channel; what was refused depends on the look."""
+    with log.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return {
+        (channel.topic, summary.schemas[channel.schema_id].name, channel.message_encoding)
+        for channel in summary.channels.values()
+        if channel.topic != REFUSAL
+    }
+
+
+@pytest.mark.slow
+def test_it_clears_a_table_as_the_mock_cell_does(tmp_path: Path) -> None:
+    real, mock = tmp_path / "real", tmp_path / "mock"
+    scene = cubes(tmp_path, *PLACES[:2])
+    with emulator(tmp_path, small_cell(), "--scene", scene, "--pace", "2") as rig:
+        assert run_real(rig, real) == 0
+        assert rig.do("objects") == {"workspace": 0, "bin": 2, "outside": 0}
+        assert processes_of(rig.host) == {}  # the driver's child is gone
+        config = ("--config", str(rig.config), "--scene", str(scene))
+        assert main([*config, "--out", str(mock)]) == 0
+    (real_log,), (mock_log,) = real.glob("*.mcap"), mock.glob("*.mcap")
+    assert kinds(real_log) == kinds(mock_log)
+    told = [read_episode(log).result() for log in (real_log, mock_log)]
+    assert [result is not None and result.reason for result in told] == [EndReason.CLEARED] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("driver", "generation"),
+    [("robotiq_rtu", "cb3"), ("robotiq_rtu_tcp", "e-series"), ("robotiq_urcap", "cb3")],
+)
+def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Path) -> None:
+    """The same first action as in the mock cell, on each wire of the gripper."""
+    wire = {"driver": driver, "port": "/dev/serial/by-id/none"}
+    options = ("--objects", "2", "--seed", "3", "--generation", generation)
+    first = []
+    with emulator(tmp_path, small_cell(**wire), *options) as rig:
+        config = load_cell(rig.config)
+        scene = random_scene(2, workspace_of(config), np.random.default_rng(3))
+        with open_cell(config, real=True) as real, open_cell(config, scene=scene, seed=3) as mock:
+            for cell in (real, mock):
+                seen = build_heightmap(
+                    cell.camera.capture(), config.X_base_camera, workspace_of(config)
+                )
+                first.append(TallestGrasp().decide(seen, np.random.default_rng(3)).primitive)
+            assert np.allclose(real.arm.state().q, mock.arm.state().q, atol=1e-3)
+            real.gripper.activate()
+            state = real.gripper.move(0.04, speed=0.1, force=20.0)
+            assert state.width == pytest.approx(0.04, abs=0.001)
+    ours, theirs = first
+    assert type(ours) is type(theirs)
+    assert (ours.x, ours.y) == pytest.approx((theirs.x, theirs.y), abs=1.01 * PIXEL)
+    assert ours.z == pytest.approx(theirs.z, abs=0.002)
+    assert ours.yaw == theirs.yaw
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "mended", "said"),
+    [
+        ("protective_stop", "reset", "ProtectiveStop"),
+        ("emergency_stop", "reset", "EmergencyStop"),
+        ("freeze", "reset", "DeviceUnreachable"),
+        ("gripper_mute", "gripper_speak", "DeviceTimeout"),
+        ("camera_stall", "camera_resume", "CameraError"),
+    ],
+)
+def test_a_fault_stops_the_arm_and_closes_the_log(
+    cell: EmulatorRig, fault: str, mended: str, said: str, tmp_path: Path
+) -> None:
+    def strike() -> None:
+        cell.wait_for_motion()
+        cell.do(fault)
+
+    striking = threading.Thread(target=strike)
+    striking.start()
+    code = run_real(cell, tmp_path)
+    striking.join()
+    assert code == 3
+    cell.wait_for_rest()
+    assert cell.stands_still()
+    assert cell.do("truth")["runtime"] != "PLAYING"
+    assert processes_of(cell.host) == {}
+    cell.do(mended)
+    (log,) = tmp_path.glob("*.mcap")
+    result = read_episode(log).result()
+    assert result is not None
+    assert result.reason is EndReason.DEVICE_ERROR
+    assert result.error is not None
+    assert result.error.startswith(said)
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_the_arm_and_closes_the_log(cell: EmulatorRig, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "tdpg_deploy.cli.run", "--real", "--unattended"),
+            *("--policy", "random", "--config", cell.config, "--out", tmp_path),
+        ]
+    )
+    cell.wait_for_motion()
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=30) == 130
+    cell.wait_for_rest()
+    assert cell.stands_still()
+    (log,) = tmp_path.glob("*.mcap")
+    result = read_episode(log).result()
+    assert result is not None
+    assert result.reason is EndReason.OPERATOR_STOP
+
+
+def test_a_taken_address_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = small_cell()
+    file = tmp_path / "cell.toml"
+    file.write_text(format_cell(config))
+    with socket.create_server((config.arm.host, RTDE_PORT)):
+        assert emulate([str(file), "--objects", "1"]) == 2
+    said = capsys.readouterr().err
+    assert config.arm.host in said
+    assert "another loopback address" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("dance", "no such command: dance"),
+        ("obey", "no such command: obey"),
+        ("speed_slider", "it takes share"),
+        ("speed_slider share=half", "speed_slider: Expecting value"),
+        ("objects where=1", "it takes nothing"),
+    ],
+)
+def test_a_mistyped_command_is_named(cell: EmulatorRig, typed: str, expected: str) -> None:
+    assert expected in cell.type(typed)["error"]
+
+
+def test_every_command_is_documented() -> None:
+    page = (DOCS / "emulate.md").read_text(encoding="utf-8")
+    assert [name for name in CellPendant.commands() if f"`{name}" not in page] == []
