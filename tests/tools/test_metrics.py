@@ -37,6 +37,7 @@ def test_by_hand() -> None:
     assert metrics.of_completed.motions.value == pytest.approx(16)
     assert metrics.of_all.grasp_success.value == pytest.approx((10 / 16 + 1 + 0.1) / 3)
     assert metrics.of_all.motions.value == pytest.approx(62 / 3)
+    assert metrics.of_all.action_efficiency.value == pytest.approx((10 / 20 + 10 / 12 + 3 / 30) / 3)
     assert metrics.reasons == {EndReason.CLEARED: 2, EndReason.STUCK: 1}
 
 

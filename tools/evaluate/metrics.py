@@ -34,6 +34,11 @@ class EpisodeRow:
     def completed(self) -> bool:
         return self.reason in COMPLETED
 
+    @property
+    def cleared(self) -> int:
+        """Objects that count for efficiency: all of a completed table, else what was lifted."""
+        return self.objects if self.completed else self.grasp_successes
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
@@ -47,7 +52,7 @@ class Estimate:
 @dataclass(frozen=True, kw_only=True)
 class Figures:
     """grasp_success: mean over episodes of successful grasps / grasps.
-    action_efficiency: mean over episodes of objects / actions.
+    action_efficiency: mean over episodes of objects cleared / actions.
     motions: mean number of actions."""
 
     episodes: int
@@ -86,7 +91,7 @@ def _figures(rows: Sequence[EpisodeRow]) -> Figures:
     return Figures(
         episodes=len(rows),
         grasp_success=_mean([row.grasp_successes / row.grasps for row in rows if row.grasps]),
-        action_efficiency=_mean([row.objects / row.actions for row in rows if row.actions]),
+        action_efficiency=_mean([row.cleared / row.actions for row in rows if row.actions]),
         motions=_mean([float(row.actions) for row in rows]),
     )
 
