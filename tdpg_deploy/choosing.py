@@ -24,7 +24,7 @@ from tdpg_deploy.safety import check
 
 OnRefused = Callable[[Decision, str], None]
 
-MAX_REFUSALS = 20  # per look
+MAX_REFUSALS = 100  # per look: behind a tall block many of the best need unseen ground
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
