@@ -21,7 +21,6 @@ from mcap.records import (
     Attachment,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -37,6 +36,8 @@ from tdpg_deploy.errors import LogError
 LIMIT = 64 << 20  # bytes; the largest record that we write is a chunk of about 4 MB
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, starts of summary and offsets, checksum
+_CHUNK_INDEX = struct.Struct("<QQQQI")  # times, offset, length, bytes of the index offsets
+_INDEX_OFFSET = struct.Struct("<HQ")  # channel, offset
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
 _PARSERS: dict[int, Any] = {
     Opcode.HEADER: Header,
@@ -114,29 +115,29 @@ def chunks_of(stream: IO[bytes], topics: Set[str]) -> Set[int]:
     none if there is no sound summary. The first chunk, which declares the channels, is never
     among them. The stream must be able to seek; its place is lost."""
     channels: dict[int, str] = {}
-    chunks: list[ChunkIndex] = []
+    chunks: list[tuple[int, list[int]]] = []  # offset, channels
     try:
         stream.seek(-_FOOTER.size - len(MCAP0_MAGIC), io.SEEK_END)
         _, _, summary_start, _, _ = _FOOTER.unpack(stream.read(_FOOTER.size))
         stream.seek(summary_start)
         while True:
             opcode, _, body = _read_frame(stream)
-            content = ReadDataStream(io.BytesIO(body))
             if opcode == Opcode.CHANNEL:
-                channel = Channel.read(content)
-                channels[channel.id] = channel.topic
+                declared = Channel.read(ReadDataStream(io.BytesIO(body)))
+                channels[declared.id] = declared.topic
             elif opcode == Opcode.CHUNK_INDEX:
-                chunks.append(ChunkIndex.read(content))
+                _, _, offset, _, length = _CHUNK_INDEX.unpack_from(body)
+                held = _INDEX_OFFSET.iter_unpack(body[_CHUNK_INDEX.size :][:length])
+                chunks.append((offset, [channel for channel, _ in held]))
             elif opcode == Opcode.FOOTER:
                 break
     except (OSError, *_UNREADABLE):
         return frozenset()
-    chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
-    held = {
-        chunk.chunk_start_offset: {channels.get(n, "") for n in chunk.message_index_offsets}
-        for chunk in chunks[1:]
+    return {
+        offset
+        for offset, held in sorted(chunks)[1:]
+        if held and all(channels.get(channel, "") in topics for channel in held)
     }
-    return {offset for offset, found in held.items() if found and found <= topics}
 
 
 def _read_frame(stream: IO[bytes], *, unread: bool = False) -> tuple[int, bytes, bytes]:

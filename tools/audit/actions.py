@@ -116,26 +116,23 @@ def _stopped_by_force(step: Step, intent: Intent, outcome: Outcome) -> Finding |
     contact = outcome.motion.contact
     if contact is None:
         return None
-    limits = [
-        each.stop_force
-        for each in intent.plan.approach
-        if isinstance(each, MoveLinear) and each.name == contact and each.stop_force
-    ]
-    limit = f"more than {limits[0]:.0f} N" if limits else "force"
-    evidence = f'{limit} ended "{contact}"{_peak_force(step)}'
-    cause = Cause.FINGER_ON_OBJECT if contact == "descend" else Cause.COLLISION
-    return Finding(cause=cause, evidence=evidence)
+    motions = [each for each in intent.plan.approach if isinstance(each, MoveLinear)]
+    ended = next((motion for motion in motions if motion.name == contact), None)
+    limit = "" if ended is None else f"more than {ended.stop_force} N"
+    evidence = f'{limit or "force"} ended "{contact}"'
+    if contact == "descend":
+        evidence += _how_far(step, ended)
+        return Finding(cause=Cause.FINGER_ON_OBJECT, evidence=evidence)
+    return Finding(cause=Cause.COLLISION, evidence=evidence)
 
 
-def _peak_force(step: Step) -> str:
-    """The highest force among the samples, and where the tool was then; nothing if the states
-    were not read. The guard sees what falls between two samples."""
-    if not step.arm_states:
+def _how_far(step: Step, descent: MoveLinear | None) -> str:
+    """How high above its goal the descent ended; nothing if the states were not read."""
+    if descent is None or not step.arm_states:
         return ""
-    peak = max(step.arm_states, key=lambda state: float(np.linalg.norm(state.force)))
-    x, y, z = peak.X_base_tool.translation
-    force = float(np.linalg.norm(peak.force))
-    return f"; {force:.1f} N in the samples, at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    lowest = min(float(state.X_base_tool.translation[2]) for state in step.arm_states)
+    above = lowest - float(descent.X_base_tool.translation[2])
+    return f", {1000 * above:.0f} mm above its goal"
 
 
 def _grasp(outcome: GraspOutcome) -> Finding | None:

@@ -130,16 +130,18 @@ def audit_log(path: Path, *, name: str) -> AuditedLog:
     result = results[-1] if results else None
     level = first_level(episode)
     findings = explain_episode(result, summaries, episode.about.cell, level=level, damage=damage)
+    counts = result or _counted(records)
+    objects = objects_of(episode.about, counts)
+    row = None if result is None else metrics_row(episode.about, result, objects)
     return AuditedLog(
-        episode=_episode(episode, name, result, records, findings, level),
+        episode=_episode(episode, name, counts, row, objects, findings, level),
         findings=findings,
         actions=tuple(records),
-        row=None if result is None else metrics_row(episode.about, result),
+        row=row,
     )
 
 
-def metrics_row(about: About, result: EpisodeResult) -> EpisodeRow:
-    objects = objects_of(about, result)
+def metrics_row(about: About, result: EpisodeResult, objects: int) -> EpisodeRow:
     return EpisodeRow(
         scene=f"{objects} objects",
         seed=about.seed or 0,
@@ -171,15 +173,13 @@ def _noting_results(episode: Episode, results: list[EpisodeResult]) -> Iterator[
 def _episode(
     episode: Episode,
     name: str,
-    result: EpisodeResult | None,
-    actions: list[ActionRecord],
+    counts: EpisodeResult,
+    row: EpisodeRow | None,
+    objects: int,
     findings: tuple[Finding, ...],
     level: TableLevel | None,
 ) -> EpisodeRecord:
-    about = episode.about
-    counts = result or _counted(actions)
-    truth = counts.truth or {}
-    row = None if result is None else metrics_row(about, result)
+    about, truth = episode.about, counts.truth or {}
     return EpisodeRecord(
         episode=name,
         path=str(episode.path),
@@ -189,9 +189,9 @@ def _episode(
         checkpoint=about.checkpoint_sha256,
         commit=about.commit,
         seed=about.seed,
-        reason=None if result is None else result.reason.value,
+        reason=None if row is None else row.reason.value,
         completed=row is not None and row.completed,
-        objects=objects_of(about, counts),
+        objects=objects,
         actions=counts.actions,
         grasps=counts.grasps,
         grasp_successes=counts.grasp_successes,

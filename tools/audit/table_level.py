@@ -12,6 +12,7 @@ import numpy as np
 
 from policies.heightmap import SIZE, Heightmap
 
+STRIDE = 3  # pixels: 5,000 of the map are enough for a plane
 FAR = 0.05  # m: the table is looked for so far around its place
 BIN = 0.002  # m
 THICKNESS = 0.006  # m around the plane that count as table
@@ -35,18 +36,19 @@ class TableLevel:
 
 def table_level(heightmap: Heightmap) -> TableLevel | None:
     """None where too little of the table is seen."""
-    low = np.abs(np.nan_to_num(heightmap.height, nan=np.inf)) < FAR
+    seen = heightmap.height[::STRIDE, ::STRIDE]
+    low = np.abs(np.nan_to_num(seen, nan=np.inf)) < FAR
     if low.mean() < MIN_TABLE:
         return None
     row, col = np.nonzero(low)
-    height = heightmap.height[low].astype(np.float64)
-    u, v = (index / (SIZE - 1) - 0.5 for index in (row, col))
+    height = seen[low].astype(np.float64)
+    u, v = (index * STRIDE / (SIZE - 1) - 0.5 for index in (row, col))
     design = np.column_stack([np.ones_like(u), u, v])
     counts, edges = np.histogram(height, np.arange(-FAR, FAR + BIN, BIN))
     plane = np.array([edges[counts.argmax()] + BIN / 2, 0.0, 0.0])
     on_table = np.abs(height - design @ plane) < 2 * THICKNESS  # it may be tilted
     for _ in range(3):
-        if on_table.sum() < MIN_TABLE * SIZE**2:
+        if on_table.sum() < MIN_TABLE * seen.size:
             return None
         plane = np.linalg.lstsq(design[on_table], height[on_table], rcond=None)[0]
         on_table = np.abs(height - design @ plane) < THICKNESS

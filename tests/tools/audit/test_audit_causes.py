@@ -127,7 +127,7 @@ ACTIONS: list[tuple[Cause, Primitive, Outcome, str]] = [
         GRASP,
         replace(MISSED, motion=Motion(contact="descend", seconds=0.1), width_after_close=nan,
                 width_after_lift=nan),
-        'more than 15 N ended "descend"',
+        'more than 15.0 N ended "descend"',
     ),
     (
         Cause.COLLISION,

@@ -143,8 +143,8 @@ def test_a_walk_through_the_pages(address: str, tmp_path: Path) -> None:
     run = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu",
-            "--disable-background-networking", f"--user-data-dir={tmp_path}", "--virtual-time-budget=20000", "--dump-dom",
-            f"{address}/walk.html",
+            "--disable-background-networking", f"--user-data-dir={tmp_path}",
+            "--virtual-time-budget=20000", "--dump-dom", f"{address}/walk.html",
         ],
         capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
