@@ -15,15 +15,14 @@ from kinematic_log import write_log
 from policies.baselines import RandomPolicy
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.heightmap import Heightmap
-from policies.policy import Decider
+from policies.policy import Decider, Decision
 from policies.shipped import NamedPolicy, open_policy
 from tdpg_deploy.episode_log.about import About
-from tdpg_deploy.episode_log.entries import Step
+from tdpg_deploy.episode_log.entries import LoggedDecision, Step
 from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.workspace import workspace_of
-from tools.replay import redecide as module
 from tools.replay.assumptions import with_camera_moved
 from tools.replay.divergence import Cause, Divergence, Stage, Surroundings, first_divergence
 from tools.replay.redecide import goal_pixels, redecide
@@ -120,7 +119,7 @@ def test_another_heightmap_is_laid_to_what_differs(
         right = build_heightmap(*args, **options)  # type: ignore[arg-type]
         return replace(right, height=right.height + np.float32(0.001))
 
-    monkeypatch.setattr(module, "build_heightmap", lifted)
+    monkeypatch.setattr("tools.replay.redecide.build_heightmap", lifted)
     commit = "same-dirty" if change["commit"] == "same-dirty" else "same"
     about = replace(chance.about, commit=commit)
     again = replace(Surroundings.of(about), **change)  # type: ignore[arg-type]
@@ -139,14 +138,14 @@ def test_a_rounding_of_the_values_is_within_tolerance(
     about = learned.about
     versions = {**about.versions, "processor": "another"}
     again = replace(Surroundings.of(about), versions=versions)
-    exact = module.LoggedDecision.of
+    exact = LoggedDecision.of
 
-    def rounded(decision: module.Decision) -> module.LoggedDecision:
+    def rounded(decision: Decision) -> LoggedDecision:
         logged = exact(decision)
         grasps = tuple(replace(grasp, q=grasp.q + 1e-6) for grasp in logged.grasps)
         return replace(logged, grasps=grasps, maps_sha256="0")
 
-    monkeypatch.setattr(module.LoggedDecision, "of", rounded)
+    monkeypatch.setattr(LoggedDecision, "of", rounded)
     clean = Episode(path=learned.path, about=replace(about, commit=None))
     again = replace(again, commit=None)
     first = diverging(clean, policy, again)[0]
