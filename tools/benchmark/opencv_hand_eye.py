@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from calibration.closed_form import board_pose
 from calibration.views import View
@@ -55,8 +56,8 @@ def _split(poses: Sequence[Transform]) -> tuple[list[Array], list[Array]]:
     return [X.rotation.as_matrix() for X in poses], [X.translation[:, None] for X in poses]
 
 
-def _transform(rotation: Array, translation: Array) -> Transform:
+def _transform(rotation: npt.ArrayLike, translation: npt.ArrayLike) -> Transform:
     matrix = np.eye(4)
-    u, _, vt = np.linalg.svd(rotation)
+    u, _, vt = np.linalg.svd(np.asarray(rotation, np.float64))
     matrix[:3, :3], matrix[:3, 3] = u @ vt, np.ravel(translation)
     return Transform.from_matrix(matrix)
