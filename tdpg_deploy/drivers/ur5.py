@@ -23,6 +23,7 @@ from tdpg_deploy.hal import ArmState, Clock, MotionEnd, MotionResult, OnArmState
 STOP_DECELERATION = 10.0  # rad/s^2
 CONTACT_DECELERATION = 20.0  # rad/s^2: 0.15 m/s at half a metre's reach ends within 2 mm
 CONTACT_SAMPLES = 2  # in a row, since a CB3's force, made from currents, spikes
+BACK_OFF_SPEED, BACK_OFF_ACCELERATION = 0.02, 0.5  # m/s, m/s^2
 ZERO_SAMPLES = 25  # 0.2 s
 ON_STATE_EVERY = 3  # samples: 40 Hz
 AT_TARGET_JOINTS = 0.005  # rad
@@ -196,8 +197,9 @@ class UrArm:
             end = self._clock.now() + deadline
             try:
                 before = self._link.start(target.request, target.numbers, speed, acceleration)
-                if self._watch(target, before, end, stop_force, on_state):
-                    rest = self._link.brake(CONTACT_DECELERATION)
+                clear = self._watch(target.text, before, end, stop_force, on_state)
+                if clear is not None:
+                    rest = self._back_off(clear, stop_force, end)
                     return MotionResult(end=MotionEnd.CONTACT, state=self._as_state(rest))
                 state = self._as_state(self._link.at_rest(until=end))
             except BaseException:
@@ -207,32 +209,46 @@ class UrArm:
                 raise self._link.cause(f"at the end of a motion that fell short of {target.text}")
             return MotionResult(end=MotionEnd.REACHED, state=state)
 
+    def _back_off(self, clear: Sample, stop_force: float | None, end: float) -> Sample:
+        """Come to rest. Where the way to stop led on into what was touched, go back out of it:
+        the force would end the next motion, too."""
+        rest = self._link.brake(CONTACT_DECELERATION)
+        if stop_force is None or np.linalg.norm(self._as_state(rest).force) <= stop_force:
+            return rest
+        before = self._link.start("move_linear", clear.pose, BACK_OFF_SPEED, BACK_OFF_ACCELERATION)
+        self._watch("where the contact began", before, end, None, None)
+        return self._link.at_rest(until=end)
+
     def _watch(
         self,
-        target: _Target,
+        text: str,
         before: int,
         end: float,
         stop_force: float | None,
         on_state: OnArmState | None,
-    ) -> bool:
-        """Until the motion that follows operation `before` is over; True after a contact."""
+    ) -> Sample | None:
+        """Until the motion that follows operation `before` is over; after a contact, the last
+        sample without it."""
         count = pressed = 0
+        clear: Sample | None = None
         while True:
-            sample = self._link.watch(f"the motion to {target.text}")
+            sample = self._link.watch(f"the motion to {text}")
             state = self._as_state(sample)
-            if stop_force is not None:
-                pressed = pressed + 1 if np.linalg.norm(state.force) > stop_force else 0
+            if stop_force is None or np.linalg.norm(state.force) <= stop_force:
+                clear, pressed = sample, 0
+            else:
+                pressed += 1
                 if pressed == CONTACT_SAMPLES:
-                    return True
+                    return clear or sample
             if on_state is not None and count % ON_STATE_EVERY == 0:
                 on_state(state)
             if self._stop_asked.is_set():
-                raise ArmError(f"the motion to {target.text} was stopped on request")
+                raise ArmError(f"the motion to {text} was stopped on request")
             if sample.operation != before and not sample.running:
-                return False
+                return None
             if self._clock.now() > end:
                 raise DeviceTimeout(
-                    f"the motion to {target.text} was not over in time, with the speed slider at "
+                    f"the motion to {text} was not over in time, with the speed slider at "
                     f"{sample.slider:.0%}; the arm was stopped"
                 )
             count += 1
