@@ -17,11 +17,11 @@ EVENTS = "tensorboard"
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """Greedy episodes on validation tables: means over all of them."""
+    """Greedy episodes on validation tables: means over all of them. None: nothing was tried."""
 
     completion: float
-    grasp_success: float
-    efficiency: float
+    grasp_success: float | None
+    efficiency: float | None
     motions: float
 
 

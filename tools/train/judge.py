@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from tdpg_deploy.episode import run_episode
 from tdpg_deploy.episode_record import NullRecorder
 from tdpg_deploy.sim.scenes import Scene, random_scene
 from tdpg_deploy.workspace import workspace_of
-from tools.evaluate.metrics import EpisodeRow, evaluate
+from tools.evaluate.metrics import EpisodeRow, Estimate, evaluate
 from tools.train.curve import Validation
 
 
@@ -58,10 +59,14 @@ def summed_up(rows: Sequence[EpisodeRow]) -> Validation | None:
     figures = metrics.of_all
     return Validation(
         completion=metrics.completion.value,
-        grasp_success=figures.grasp_success.value,
-        efficiency=figures.action_efficiency.value,
+        grasp_success=_or_none(figures.grasp_success),
+        efficiency=_or_none(figures.action_efficiency),
         motions=figures.motions.value,
     )
+
+
+def _or_none(estimate: Estimate) -> float | None:
+    return None if math.isnan(estimate.value) else estimate.value
 
 
 def _with_goal(scene: Scene, goal: int) -> Scene:
