@@ -7,6 +7,7 @@ than asked, the machine was tested and not the driver: it is run again.
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from types import TracebackType
@@ -47,6 +48,8 @@ class Stalls:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # A shell that starts pytest in the background has it ignore Ctrl-C, which some tests press.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "real_time: run again when the machine stalled meanwhile")
 
 

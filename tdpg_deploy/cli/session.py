@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +39,24 @@ REAL_SPEED = 0.25  # share of the cell's limits, until somebody asks for more
 
 def run_session(args: argparse.Namespace) -> int:
     """Run what the command line asks for. Returns the exit code, the worst of all episodes."""
-    console = Console(highlight=False)
+    with interruptible():
+        return _run_all(args, Console(highlight=False))
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """SIGINT and SIGTERM stop the arm and close the log, even where a shell that started us in
+    the background had us ignore them."""
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, signal.default_int_handler) for number in signals]
+    try:
+        yield
+    finally:
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _run_all(args: argparse.Namespace, console: Console) -> int:
     try:
         config = load_cell(args.config or DEFAULT_CELL)
         config = slowed(config, args.speed or (REAL_SPEED if args.real else 1.0))
@@ -138,7 +158,8 @@ def _report(console: Console, result: EpisodeResult, path: Path, picture: Path) 
     console.print(
         f"[bold]{result.reason.value}[/]: {result.grasp_successes} of {result.grasps} grasps "
         f"({share:.0%}), {result.pushes} pushes, {result.refused} refused, "
-        f"{result.seconds:.0f} s of the robot's time"
+        f"{result.seconds:.0f} s of the robot's time",
+        soft_wrap=True,
     )
     if result.error:
         console.print(result.error, style="red", markup=False)
