@@ -18,8 +18,9 @@ setup: .venv/ready
 demo: setup
 	$(BIN)/tdpg-run --objects 10 --seed 1 --out logs
 
+# Some tests talk to other processes in real time: what fails is tried once more, alone.
 test: lint types
-	$(PYTEST)
+	$(PYTEST) || $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
 
 check: lint types  ## the quick loop, under a minute
 	$(PYTEST) -m "not slow"

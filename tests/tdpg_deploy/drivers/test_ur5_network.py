@@ -129,6 +129,7 @@ def test_peer_that_hangs_up() -> None:
 
 def test_peer_that_resets() -> None:
     def talk(client: socket.socket) -> None:
+        client.recv(1)  # once the client has connected for sure and asked
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
     with peer(RTDE_PORT, talk) as host, pytest.raises(DeviceUnreachable, match="lost"):
