@@ -22,8 +22,9 @@ demo: setup
 test: lint types
 	$(PYTEST) || $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
 
-check: lint types  ## the quick loop, under a minute
-	$(PYTEST) -m "not slow"
+# The quick loop: without slow tests, and without those of wires and calibration.
+check: lint types
+	$(PYTEST) -m "not slow" $(addprefix --ignore tests/,tdpg_deploy/drivers tdpg_deploy/emulators tdpg_deploy/doctor calibration)
 
 lint: setup
 	$(BIN)/ruff check .
