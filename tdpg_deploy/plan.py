@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-from policies.primitives import Primitive
 from tdpg_deploy.geometry import Array, Transform
+
+if TYPE_CHECKING:  # whoever only checks motions, such as calibration, loads no policies
+    from policies.primitives import Primitive
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
