@@ -175,6 +175,7 @@ class Limits(_Section):
     joint_acceleration: Annotated[RadiansPerSecond2, Field(gt=0, le=10)] = 1.4
     travel_speed: Annotated[MetresPerSecond, Field(gt=0, le=1.0)] = 0.5
     contact_speed: Annotated[MetresPerSecond, Field(gt=0, le=0.25)] = 0.15
+    touch_speed: Annotated[MetresPerSecond, Field(gt=0, le=0.25)] = 0.05
     acceleration: Annotated[MetresPerSecond2, Field(gt=0, le=5)] = 1.2
     descend_force: Annotated[Newtons, Field(ge=5, le=80)] = 15.0
     push_force: Annotated[Newtons, Field(ge=5, le=100)] = 50.0

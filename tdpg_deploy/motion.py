@@ -9,6 +9,8 @@ Landing on something is not refused: the descent stops on force, and a policy ha
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from policies.heightmap import Heightmap, Workspace
@@ -26,6 +28,7 @@ FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
 GRASP_DEPTH = 0.04  # m below the surface that is seen (VPG, robot.py)
 MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_PUSH = 0.02  # m: less moves nothing
+TOUCH_MARGIN = 0.02  # m over what was seen: depth, calibration and table_z err by less together
 LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough close to the base
 
 
@@ -44,10 +47,11 @@ def plan_primitive(primitive: Primitive, heightmap: Heightmap, config: CellConfi
 
 def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
     limits, table_z = config.limits, config.workspace.table_z
+    surface = 0.0
     for finger in grasp_footprints(grasp):
-        _require_known(
-            ground_under(heightmap, finger, clear_margin=limits.workspace_margin), finger
-        )
+        ground = ground_under(heightmap, finger, clear_margin=limits.workspace_margin)
+        _require_known(ground, finger)
+        surface = _highest(surface, ground)
 
     z = max(grasp.z - GRASP_DEPTH, table_z + limits.table_clearance)
     q_above, yaw = _above(grasp.x, grasp.y, grasp.yaw, config)
@@ -57,7 +61,7 @@ def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
         approach=(
             _fingers("open", OPEN_WIDTH, config),
             _joints("above", q_above, config),
-            _guarded("descend", top_down(grasp.x, grasp.y, z, yaw), limits.descend_force, config),
+            *_descent(top_down(grasp.x, grasp.y, z, yaw), surface, config),
             _fingers("close", 0.0, config),
             _lift(grasp.x, grasp.y, yaw, config),
         ),
@@ -88,7 +92,8 @@ def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
         length = room
 
     # Low enough to meet objects at their sides, yet above whatever the tips come down on.
-    z = table_z + max(ground.highest, 0.0) + limits.table_clearance
+    surface = _highest(0.0, ground)
+    z = table_z + surface + limits.table_clearance
     x_end, y_end = push.x + length * np.cos(push.yaw), push.y + length * np.sin(push.yaw)
     # Closing direction across the travel: the two fingers side by side make a broad front.
     q_above, yaw = _above(push.x, push.y, push.yaw + np.pi / 2, config)
@@ -97,7 +102,7 @@ def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
         approach=(
             _fingers("close", 0.0, config),
             _joints("above", q_above, config),
-            _guarded("descend", top_down(push.x, push.y, z, yaw), limits.descend_force, config),
+            *_descent(top_down(push.x, push.y, z, yaw), surface, config),
             _guarded("push", top_down(x_end, y_end, z, yaw), limits.push_force, config),
             _lift(x_end, y_end, yaw, config),
         ),
@@ -207,6 +212,27 @@ def _lift(x: float, y: float, yaw: float, config: CellConfig) -> MoveLinear:
         acceleration=config.limits.acceleration,
         stop_force=config.limits.push_force,
     )
+
+
+def _descent(X_base_tool: Transform, surface: float, config: CellConfig) -> tuple[MoveLinear, ...]:
+    """Down to a pose from travel height; slow from where a finger may touch down, since an arm
+    presses on until it has felt the force and braked. surface: m above the table."""
+    limits = config.limits
+    touch_z = config.workspace.table_z + surface + TOUCH_MARGIN
+    x, y, z = X_base_tool.translation
+    descend = _guarded("descend", X_base_tool, limits.descend_force, config)
+    if limits.touch_speed >= limits.contact_speed or z >= touch_z:
+        return (descend,)
+    slow = replace(descend, speed=limits.touch_speed)
+    if touch_z >= _travel_z(config):
+        return (slow,)
+    above = Transform(X_base_tool.rotation, np.array([x, y, touch_z]))
+    return _guarded("lower", above, limits.descend_force, config), slow
+
+
+def _highest(surface: float, ground: Ground) -> float:
+    """The higher of both; what was not seen is as high as the table."""
+    return float(np.fmax(surface, ground.highest))
 
 
 def _guarded(name: str, X_base_tool: Transform, force: float, config: CellConfig) -> MoveLinear:

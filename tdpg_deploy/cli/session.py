@@ -129,7 +129,8 @@ def with_goal(scene: Scene, index: int) -> Scene:
 def slowed(config: CellConfig, share: float) -> CellConfig:
     """The cell with its limits on speed and acceleration scaled."""
     limits = config.limits
-    names = ("joint_speed", "joint_acceleration", "travel_speed", "contact_speed", "acceleration")
+    speeds = ("joint_speed", "travel_speed", "contact_speed", "touch_speed")
+    names = (*speeds, "joint_acceleration", "acceleration")
     scaled = {name: getattr(limits, name) * share for name in names}
     return config.model_copy(update={"limits": limits.model_copy(update=scaled)})
 
@@ -140,8 +141,8 @@ def ask_consent(console: Console, config: CellConfig, policy: NamedPolicy) -> No
     console.print(
         f"The UR5 at {config.arm.host} is going to move: home, then policy {policy.name}.\n"
         f"At most {limits.travel_speed:.2f} m/s in free space, {limits.contact_speed:.2f} m/s near "
-        f"objects; it stops above {limits.descend_force:.0f} N going down and "
-        f"{limits.push_force:.0f} N pushing.\n"
+        f"objects, {limits.touch_speed:.3f} m/s onto them; it stops above "
+        f"{limits.descend_force:.0f} N going down and {limits.push_force:.0f} N pushing.\n"
         "Keep clear, and a hand at the emergency stop. Ctrl-C stops the arm."
     )
     if not sys.stdin.isatty():

@@ -14,6 +14,7 @@ from tdpg_deploy.geometry import Transform, top_down
 from tdpg_deploy.motion import (
     OPEN_WIDTH,
     PAD_WIDTH,
+    TOUCH_MARGIN,
     grasp_footprints,
     plan_homing,
     plan_primitive,
@@ -65,18 +66,57 @@ def joints(plan: Plan, name: str) -> MoveJoints:
 def test_grasp_goes_above_down_closes_lifts_delivers_and_returns() -> None:
     plan = plan_primitive(Grasp(x=0.5, y=0.1, z=TABLE_Z + 0.05, yaw=0.3), table(), CONFIG)
     assert names(plan) == [
-        ["open", "above", "descend", "close", "lift"],
+        ["open", "above", "lower", "descend", "close", "lift"],
         ["over the bin", "release"],
         ["home"],
     ]
-    opening, closing = plan.approach[0], plan.approach[3]
+    opening, closing = plan.approach[0], plan.approach[4]
     assert isinstance(opening, MoveFingers)
     assert isinstance(closing, MoveFingers)
     assert (opening.width, closing.width) == (OPEN_WIDTH, 0.0)
     assert closing.force == CONFIG.gripper.force
     descend = linear(plan, "descend")
     assert descend.stop_force == CONFIG.limits.descend_force
-    assert descend.speed == CONFIG.limits.contact_speed
+
+
+def test_a_descent_is_slow_from_above_what_is_seen_under_the_fingers() -> None:
+    grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
+    seen = table()
+    row, col = WORKSPACE.to_pixel(grasp.x, grasp.y)
+    seen.height[row - 5 : row + 5, col - 5 : col + 5] = 0.05  # between the fingers
+    for ground in (0.0, 0.03):
+        row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[1].x, 0.0)
+        seen.height[row, col] = ground
+        plan = plan_primitive(grasp, seen, CONFIG)
+        check(plan, CONFIG)
+        lower, descend = linear(plan, "lower"), linear(plan, "descend")
+        assert lower.X_base_tool.translation[2] == pytest.approx(TABLE_Z + ground + TOUCH_MARGIN)
+        assert (lower.speed, descend.speed) == (0.15, 0.05)
+        assert lower.stop_force == descend.stop_force == CONFIG.limits.descend_force
+        np.testing.assert_array_equal(
+            lower.X_base_tool.translation[:2], descend.X_base_tool.translation[:2]
+        )
+
+
+def test_a_descent_that_ends_far_above_all_that_is_seen_is_not_slow() -> None:
+    plan = plan_primitive(Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.10, yaw=0.0), table(), CONFIG)
+    assert "lower" not in names(plan)[0]
+    assert linear(plan, "descend").speed == CONFIG.limits.contact_speed
+
+
+def test_a_descent_beside_what_reaches_travel_height_is_slow_all_the_way() -> None:
+    high = CONFIG.limits.travel_height - TOUCH_MARGIN / 2
+    plan = plan_primitive(Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0), table(high), CONFIG)
+    assert "lower" not in names(plan)[0]
+    assert linear(plan, "descend").speed == CONFIG.limits.touch_speed
+
+
+def test_a_cell_that_is_slow_anyway_descends_in_one_motion() -> None:
+    slow = CONFIG.limits.model_copy(update={"contact_speed": 0.04})
+    config = CONFIG.model_copy(update={"limits": slow})
+    plan = plan_primitive(Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0), table(), config)
+    assert "lower" not in names(plan)[0]
+    assert linear(plan, "descend").speed == 0.04
 
 
 @pytest.mark.parametrize(
@@ -157,7 +197,7 @@ def test_an_unknown_surface_is_refused() -> None:
 def test_push_goes_down_beside_and_travels_broadside() -> None:
     push = Push(x=0.45, y=0.05, z=TABLE_Z, yaw=np.pi / 4)
     plan = plan_primitive(push, table(), CONFIG)
-    assert names(plan) == [["close", "above", "descend", "push", "lift"], [], ["home"]]
+    assert names(plan) == [["close", "above", "lower", "descend", "push", "lift"], [], ["home"]]
     down, travel = linear(plan, "descend").X_base_tool, linear(plan, "push").X_base_tool
     way = travel.translation - down.translation
     np.testing.assert_allclose(

@@ -63,6 +63,7 @@ def training_cell() -> CellConfig:
     hurry = {
         "travel_speed": 1.0,
         "contact_speed": 0.25,
+        "touch_speed": 0.25,
         "acceleration": 5.0,
         "joint_speed": 3.1,
         "joint_acceleration": 10.0,
