@@ -121,10 +121,10 @@ def test_steps_group_what_belongs_together(logged: tuple[Path, list[Call]]) -> N
     looks = [expected(call) for call in calls if call.name == "observe"]
     assert [len(step.refusals) for step in steps] == [0, 1, 0]
     moved = [call.arguments[0] for call in calls if call.name == "arm_state"]
-    path = [point for step in steps for point in step.tool_path]
+    points = [point for step in steps for point in step.tool_path]
     assert [len(step.tool_path) for step in steps] == [4, 4, 4]
-    assert [point.stamp for point in path] == [state.stamp for state in moved]
-    for point, state in zip(path, moved, strict=True):
+    assert [point.stamp for point in points] == [state.stamp for state in moved]
+    for point, state in zip(points, moved, strict=True):
         assert point.p_base == tuple(state.X_base_tool.translation)
         assert point.force == pytest.approx(np.linalg.norm(state.force))
     assert [len(step.gripper_states) for step in steps] == [1, 1, 1]
