@@ -37,7 +37,7 @@ def encode(value: object) -> bytes:
 def decode(kind: type[T] | types.UnionType, data: bytes) -> T:
     """The dataclass (or the member of the union `kind`) in `data`. Raises LogError."""
     try:
-        result: T = _reader(cast(Any, kind))(json.loads(data))
+        result: T = _reader(cast(Any, kind))(json.loads(data.decode()))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         name = getattr(kind, "__name__", str(kind))
         raise LogError(f"not a {name} document: {type(error).__name__}: {error}") from error
@@ -147,6 +147,8 @@ def _object_reader(kind: Any) -> Reader:
 
 
 def _float(value: Any) -> float:
+    if type(value) is float:  # the most frequent of all by far
+        return value
     return nan if value is None else float(_expect((int, float), value))
 
 

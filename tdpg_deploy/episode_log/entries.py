@@ -210,3 +210,11 @@ class ForceDocument:
     z: float
     norm: float
     stamp: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceNorm:
+    """What a ToolPoint takes of a ForceDocument."""
+
+    norm: float
+    stamp: float

@@ -23,6 +23,7 @@ from tdpg_deploy.episode_log.entries import (
     End,
     Entry,
     ForceDocument,
+    ForceNorm,
     Intent,
     LoggedDecision,
     Look,
@@ -220,7 +221,7 @@ def _arm_state(parts: _Parts, closing: Message) -> ArmState | None:
 
 
 def _tool_point(parts: _Parts, closing: Message) -> ToolPoint | None:
-    document = documents.decode(ForceDocument, closing.data)
+    document = documents.decode(ForceNorm, closing.data)
     data = parts.take(closing, channels.TRANSFORMS)
     if data is None:
         return None
