@@ -30,11 +30,17 @@ def parser() -> argparse.ArgumentParser:
 
     tables = p.add_argument_group(
         "the tables",
-        "Without any of these, the paper's: random 15, 20, 25, 30 (with --goal only 30) and cases.",
+        "Without any of these the paper's: random 15, 20, 25 and 30, the cases, 10 novel objects; "
+        "with --goal random 30 and the cases.",
     )
     tables.add_argument("--objects", type=int, nargs="+", default=[], metavar="N", help="random")
     tables.add_argument("--cases", action="store_true", help="the nine challenge cases")
-    tables.add_argument("--scene", type=Path, nargs="+", default=[], metavar="FILE")
+    tables.add_argument(
+        "--novel", type=int, nargs="+", default=[], metavar="N", help="objects never trained on"
+    )
+    tables.add_argument(
+        "--scene", type=Path, nargs="+", default=[], metavar="FILE", help="scene files"
+    )
     return p
 
 

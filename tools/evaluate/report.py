@@ -20,7 +20,8 @@ from tools.evaluate.tables import RandomTable, SceneTable, Table, challenge_case
 from tools.evaluate.terminal import Key, figures_table
 
 PAPER_OBJECTS = (15, 20, 25, 30)  # the paper, section IV-A
-PAPER_GOAL_OBJECTS = 30
+PAPER_GOAL_OBJECTS = (30,)
+NOVEL_OBJECTS = (10,)
 
 
 def evaluate_policies(args: argparse.Namespace, console: Console) -> None:
@@ -45,12 +46,14 @@ def evaluate_policies(args: argparse.Namespace, console: Console) -> None:
 
 def tables_of(args: argparse.Namespace) -> list[Table]:
     """What was asked for; the paper's tables where nothing was."""
-    objects, cases = args.objects, args.cases
-    if not (objects or cases or args.scene):
-        objects, cases = ([PAPER_GOAL_OBJECTS] if args.goal else PAPER_OBJECTS), True
+    objects, novel, cases = args.objects, args.novel, args.cases
+    if not (objects or novel or cases or args.scene):
+        cases = True
+        objects, novel = (PAPER_GOAL_OBJECTS, ()) if args.goal else (PAPER_OBJECTS, NOVEL_OBJECTS)
     return [
         *(RandomTable(objects=n) for n in objects),
         *(challenge_cases() if cases else []),
+        *(RandomTable(objects=n, novel=True) for n in novel),
         *(SceneTable(file=file) for file in args.scene),
     ]
 

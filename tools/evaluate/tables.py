@@ -19,7 +19,9 @@ from tdpg_deploy.episode import GOAL_PIXELS
 from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.sim.bodies import SHAPES
 from tdpg_deploy.sim.goal import GoalDetector
+from tdpg_deploy.sim.novel import NOVEL
 from tdpg_deploy.sim.scene_file import load_scene, parse_scene
 from tdpg_deploy.sim.scenes import Scene, random_scene
 from tdpg_deploy.workspace import workspace_of
@@ -47,22 +49,24 @@ class Table(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomTable:
-    """Blocks of random shape, pose and colour, let fall in a heap. With a goal, the one to fetch
-    is drawn from those that the first look shows."""
+    """Objects of random shape, pose and colour, let fall in a heap: the blocks of the training,
+    or novel ones. With a goal, the one to fetch is drawn from those that the first look shows."""
 
     objects: int
+    novel: bool = False
 
     @property
     def name(self) -> str:
-        return f"random-{self.objects}"
+        return f"{'novel' if self.novel else 'random'}-{self.objects}"
 
     @property
     def groups(self) -> tuple[str, ...]:
-        return (f"random {self.objects}",)
+        return (self.name.replace("-", " "),)
 
     def scene(self, cell: CellConfig, seed: int, *, goal: bool) -> Scene:
         rng = np.random.default_rng(seed)
-        scene = random_scene(self.objects, workspace_of(cell), rng)
+        shapes = NOVEL if self.novel else SHAPES
+        scene = random_scene(self.objects, workspace_of(cell), rng, shapes)
         return with_seen_goal(scene, cell, seed, rng) if goal else scene
 
 
