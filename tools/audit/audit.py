@@ -12,6 +12,7 @@ from rich.progress import track
 
 from tdpg_deploy.errors import ConfigError
 from tools.audit.compare import compare
+from tools.audit.engines import Engine
 from tools.audit.parquet import TableWriter, query
 from tools.audit.rows import AuditedLog
 from tools.audit.run import audit_logs, find_logs
@@ -28,7 +29,7 @@ def audit(args: argparse.Namespace, console: Console) -> bool:
     with ExitStack() as stack:
         tables = args.out or Path(stack.enter_context(TemporaryDirectory(prefix="tdpg-audit-")))
         pages: list[Listed] | None = [] if args.html is not None else None
-        tally = _read(args.logs, tables, args.workers, console, pages)
+        tally = _read(args.logs, tables, args, console, pages)
         if args.sql is not None:
             show_answer(console, query(tables, args.sql))
         else:
@@ -45,14 +46,16 @@ def audit(args: argparse.Namespace, console: Console) -> bool:
 def _read(
     folder: Path,
     tables: Path,
-    workers: int,
+    args: argparse.Namespace,
     console: Console,
     pages: list[Listed] | None = None,
 ) -> Tally:
     """Fills `tables`, and `pages` if there are to be any."""
     logs = find_logs(folder)
     tally = Tally()
-    audited = audit_logs(folder, logs, workers=min(workers, len(logs)))
+    audited = audit_logs(
+        folder, logs, workers=min(args.workers, len(logs)), engine=Engine(args.engine)
+    )
     with TableWriter(tables) as writer:
         for log in track(audited, "reading", len(logs), console=console, transient=True):
             tally.add(log)
@@ -65,7 +68,7 @@ def _read(
 
 def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
     with TemporaryDirectory(prefix="tdpg-audit-") as tables:
-        other = _read(args.compare, Path(tables), args.workers, console)
+        other = _read(args.compare, Path(tables), args, console)
     for folder, one in ((args.logs, tally), (args.compare, other)):
         if not one.rows:
             raise ConfigError(f"{folder}: no complete episode to compare")
@@ -73,7 +76,8 @@ def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
 
 
 def _write(args: argparse.Namespace, pages: list[Listed], tally: Tally, console: Console) -> None:
-    done = write_site(args.html, pages, tally, workers=min(args.workers, len(pages) or 1))
+    workers, engine = min(args.workers, len(pages) or 1), Engine(args.engine)
+    done = write_site(args.html, pages, tally, workers=workers, engine=engine)
     for _ in track(done, "writing pages", len(pages), console=console, transient=True):
         pass
     console.print(f"pages: {args.html / 'index.html'}", markup=False, soft_wrap=True)

@@ -38,6 +38,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="processes (default: one a core)",
     )
+    p.add_argument(
+        "--engine",
+        choices=["processes", "ray"],
+        default="processes",
+        help="who runs them (default: processes of this machine)",
+    )
     return p
 
 

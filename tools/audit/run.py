@@ -1,23 +1,16 @@
-"""Many logs -> their rows, in parallel processes. Memory does not grow with the set."""
+"""Many logs -> their rows, in parallel."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
 
 from tdpg_deploy.errors import ConfigError, LogError, SceneError
+from tools.audit.engines import Engine, in_parallel
 from tools.audit.rows import AuditedLog, audit_log
 
-AHEAD = 4  # logs in the works for each process
 PATTERNS = ("*.mcap", "*.mcap.part")  # a .part is what a killed process left
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +38,11 @@ def name_of(path: Path, folder: Path) -> str:
 
 
 def audit_logs(
-    folder: Path, logs: Sequence[Path], *, workers: int
+    folder: Path, logs: Sequence[Path], *, workers: int, engine: Engine
 ) -> Iterator[AuditedLog | Unreadable]:
     """In the order of `logs`."""
     tasks = ((path, name_of(path, folder)) for path in logs)
-    return in_parallel(_audit, tasks, workers=workers)
+    return in_parallel(_audit, tasks, workers=workers, engine=engine)
 
 
 def _audit(task: tuple[Path, str]) -> AuditedLog | Unreadable:
@@ -60,18 +53,3 @@ def _audit(task: tuple[Path, str]) -> AuditedLog | Unreadable:
         return Unreadable(path=path, why=str(error))
     except SceneError as error:
         return Unreadable(path=path, why=f"{path}: its scene: {error}")
-
-
-def in_parallel(work: Callable[[T], R], tasks: Iterator[T], *, workers: int) -> Iterator[R]:
-    """`work` on every task, in order; at most AHEAD * workers are in the works or wait."""
-    if workers == 1:
-        yield from map(work, tasks)
-        return
-    waiting: deque[Future[R]] = deque()
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for task in tasks:
-            waiting.append(pool.submit(work, task))
-            if len(waiting) >= AHEAD * workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()

@@ -22,9 +22,9 @@ from tdpg_deploy.errors import ConfigError, LogError
 from tools.audit.actions import explain_action
 from tools.audit.causes import Finding
 from tools.audit.compare import figures
+from tools.audit.engines import Engine, in_parallel
 from tools.audit.episode_data import findings_data, number, step_data
 from tools.audit.rows import AuditedLog, EpisodeRecord
-from tools.audit.run import in_parallel
 from tools.audit.site_images import write_images
 from tools.audit.tally import Tally
 from tools.evaluate.metrics import evaluate
@@ -59,7 +59,9 @@ def listed(log: AuditedLog) -> Listed:
     return Listed(record=log.episode, findings=log.findings, failures=dict(failures))
 
 
-def write_site(out: Path, logs: Sequence[Listed], tally: Tally, *, workers: int) -> Iterator[str]:
+def write_site(
+    out: Path, logs: Sequence[Listed], tally: Tally, *, workers: int, engine: Engine
+) -> Iterator[str]:
     """Write index.html and episodes/*; yields the name of each episode whose page is done."""
     try:
         (out / "episodes").mkdir(parents=True, exist_ok=True)
@@ -71,7 +73,7 @@ def write_site(out: Path, logs: Sequence[Listed], tally: Tally, *, workers: int)
                 logs, [None, *slugs[:-1]], [*slugs[1:], None], strict=True
             )
         )
-        yield from in_parallel(_write_page, pages, workers=workers)
+        yield from in_parallel(_write_page, pages, workers=workers, engine=engine)
     except OSError as error:
         raise ConfigError(f"{out}: pages cannot be written ({error})") from error
 

@@ -60,10 +60,27 @@ def test_the_tables_say_what_the_logs_say(logs: Path, tables: Path) -> None:
 
 def test_two_processes_give_the_same_tables(logs: Path, tables: Path, tmp_path: Path) -> None:
     main([str(logs), "--out", str(tmp_path), "--workers", "2"])
-    for file in (EPISODES, ACTIONS):
-        assert pq.read_table(tmp_path / file).to_pylist().__repr__() == (
-            pq.read_table(tables / file).to_pylist().__repr__()
-        )
+    assert rows_of(tmp_path) == rows_of(tables)
+
+
+def rows_of(tables: Path) -> list[str]:
+    """As text, in which nan is nan."""
+    return [repr(pq.read_table(tables / file).to_pylist()) for file in (EPISODES, ACTIONS)]
+
+
+@pytest.mark.slow
+def test_ray_gives_the_same_tables(logs: Path, tables: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="ray is not installed: pip install 'tdpg-deploy[ray]'")
+    main([str(logs), "--out", str(tmp_path), "--workers", "2", "--engine", "ray"])
+    assert rows_of(tmp_path) == rows_of(tables)
+
+
+def test_an_engine_that_is_not_installed(
+    logs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert main([str(logs), "--engine", "ray"]) == 2
+    assert "pip install 'tdpg-deploy[ray]'" in capsys.readouterr().out
 
 
 def test_sql(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
