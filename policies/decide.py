@@ -11,13 +11,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.fingers import (
-    HALF_TURN,
-    have_room,
-    shifted,
-    under_closed_fingers,
-    under_open_fingers,
-)
+from policies.fingers import HALF_TURN, have_room, under_closed_fingers, under_open_fingers
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import ROTATIONS, QMaps
 from policies.primitives import PUSH_LENGTH, Grasp, Primitive, Push
@@ -91,9 +85,9 @@ def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
             _take_higher(met, swept, round(-step * up), round(-step * left))
         end_row, end_col = side - reach * up, side - reach * left
         ends_inside = _in_map(end_row)[:, None] & _in_map(end_col)
-        start = ground.highest[rotation % HALF_TURN]
-        higher = met > np.maximum(start, 0) + RISE
-        np.logical_and(higher & ground.known[rotation % HALF_TURN], ends_inside, out=mask)
+        higher = met > ground.highest[rotation % HALF_TURN] + RISE
+        known = ground.known[rotation % HALF_TURN] & heightmap.valid
+        np.logical_and(higher & known, ends_inside, out=mask)
     return masks
 
 
@@ -108,8 +102,14 @@ def _widest(height: Map, half_width: int) -> Map:
 
 def _take_higher(met: Map, height: Map, down: int, right: int) -> None:
     """met[r, c] = max(met[r, c], height[r + down, c + right]), where that exists."""
-    to, at = shifted(down, right)
-    np.maximum(met[to], height[at], out=met[to])
+    to_rows, from_rows = _overlap(down)
+    to_cols, from_cols = _overlap(right)
+    target = met[to_rows, to_cols]
+    np.maximum(target, height[from_rows, from_cols], out=target)
+
+
+def _overlap(shift: int) -> tuple[slice, slice]:
+    return slice(max(0, -shift), SIZE - max(0, shift)), slice(max(0, shift), SIZE + min(0, shift))
 
 
 def _in_map(pixels: npt.NDArray[np.float64]) -> Mask:

@@ -41,16 +41,7 @@ class Ground:
 
 def under_open_fingers(heightmap: Heightmap) -> Ground:
     """Where both fingers of a grasp at each pixel come down: the higher of both places."""
-    ground = _under(heightmap, along=FINGER_DEPTH, across=PAD_WIDTH)
-    offset = (OPEN_WIDTH + FINGER_DEPTH) / 2 / PIXEL
-    highest, known = np.zeros_like(ground.highest), np.ones_like(ground.known)
-    for rotation in range(HALF_TURN):
-        yaw = rotation * 2 * np.pi / ROTATIONS
-        down, right = round(-offset * np.cos(yaw)), round(-offset * np.sin(yaw))
-        for to, at in (shifted(down, right), shifted(-down, -right)):
-            np.maximum(highest[rotation][to], ground.highest[rotation][at], highest[rotation][to])
-            known[rotation][to] &= ground.known[rotation][at]
-    return Ground(highest=highest, known=known)
+    return _under(heightmap, along=FINGER_DEPTH, across=PAD_WIDTH, apart=OPEN_WIDTH + FINGER_DEPTH)
 
 
 def have_room(surface: npt.ArrayLike, ground: npt.ArrayLike) -> npt.NDArray[np.bool_]:
@@ -62,43 +53,64 @@ def have_room(surface: npt.ArrayLike, ground: npt.ArrayLike) -> npt.NDArray[np.b
 
 def under_closed_fingers(heightmap: Heightmap) -> Ground:
     """Where a push at each pixel comes down, its two fingers side by side across the travel."""
-    return _under(heightmap, along=PAD_WIDTH, across=2 * FINGER_DEPTH)
+    return _under(heightmap, along=PAD_WIDTH, across=2 * FINGER_DEPTH, apart=0.0)
 
 
-def shifted(down: int, right: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Where pixels have a neighbour so far down and right, and where those neighbours are."""
-    (to_rows, at_rows), (to_cols, at_cols) = _overlap(down), _overlap(right)
-    return (to_rows, to_cols), (at_rows, at_cols)
+_AROUND = 36  # pixels beyond the map that a finger can touch
 
 
-def _overlap(shift: int) -> tuple[slice, slice]:
-    return slice(max(0, -shift), SIZE - max(0, shift)), slice(max(0, shift), SIZE + min(0, shift))
-
-
-def _under(heightmap: Heightmap, *, along: float, across: float) -> Ground:
-    """Beyond the map lies the table, as the cell's owner vouches."""
+def _under(heightmap: Heightmap, *, along: float, across: float, apart: float) -> Ground:
+    """Under two rectangles whose centres lie `apart` metres from each other, in the direction of
+    the yaw. Beyond the map lies the table, as the cell's owner vouches."""
     seen = heightmap.valid
     smooth = cv2.medianBlur(np.where(seen, heightmap.height, np.float32(0)), 3)  # no lone specks
-    kernels = _footprints(along, across)
-    highest = np.empty((HALF_TURN, SIZE, SIZE), np.float32)
-    for kernel, above in zip(kernels, highest, strict=True):
-        cv2.dilate(smooth, kernel, above, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
-    weights = torch.from_numpy(kernels[:, None].astype(np.float32))
+    footprints, places = _footprints(along, across), _places(apart)
+    weights = torch.from_numpy(footprints[:, None].astype(np.float32))
     weights /= weights.sum((2, 3), keepdim=True)
-    unseen = torch.from_numpy((~seen).astype(np.float32))[None, None]
-    unknown = F.conv2d(unseen, weights, padding="same")[0].numpy()
-    return Ground(highest=highest, known=unknown <= MAX_UNKNOWN)
+    unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), _AROUND))
+    unknown = F.conv2d(unseen[None, None], weights, padding="same")[0].numpy()
+
+    smooth = np.pad(smooth, _AROUND)
+    highest = np.empty((HALF_TURN, SIZE, SIZE), np.float32)
+    known = np.empty(highest.shape, np.bool_)
+    inside = slice(_AROUND, _AROUND + SIZE)
+    for rotation, (footprint, place) in enumerate(zip(footprints, places, strict=True)):
+        at_each = cv2.dilate(smooth, footprint)
+        highest[rotation] = cv2.dilate(at_each, place)[inside, inside]
+        at_each = cv2.dilate(unknown[rotation], place)
+        known[rotation] = at_each[inside, inside] <= MAX_UNKNOWN
+    return Ground(highest=highest, known=known)
 
 
 @cache
 def _footprints(along: float, across: float) -> npt.NDArray[np.uint8]:
     """(8, n, n) the pixels of a rectangle with these sides along and across each yaw."""
-    reach = int(np.hypot(along, across) / 2 / PIXEL)
+    x, y, c, s = _around(int(np.hypot(along, across) / 2 / PIXEL))
+    u, v = c * x + s * y, c * y - s * x
+    inside: npt.NDArray[np.bool_] = np.maximum(abs(u) - along / 2, abs(v) - across / 2) <= 1e-9
+    return inside.astype(np.uint8)
+
+
+@cache
+def _places(apart: float) -> npt.NDArray[np.uint8]:
+    """(8, n, n) the two pixels that lie `apart` metres from each other, along each yaw."""
+    x, y, c, s = _around(int(apart / 2 / PIXEL) + 1)
+    squared = (abs(c * x + s * y) - apart / 2) ** 2 + (c * y - s * x) ** 2
+    # The two are as near as each other, or one and the same: rounding must not tell them apart.
+    nearest: npt.NDArray[np.bool_] = squared <= squared.min(axis=(1, 2), keepdims=True) + 1e-12
+    return nearest.astype(np.uint8)
+
+
+def _around(
+    reach: int,
+) -> tuple[
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+]:
+    """x, y of pixels (n, n) around one, in base (m); cosine and sine of each yaw (8, 1, 1)."""
     pixels = np.arange(-reach, reach + 1) * PIXEL
     x, y = np.meshgrid(-pixels, -pixels, indexing="ij")
     yaw = np.arange(HALF_TURN)[:, None, None] * 2 * np.pi / ROTATIONS
-    u, v = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
-    inside: npt.NDArray[np.bool_] = (np.abs(u) <= along / 2 + 1e-9) & (
-        np.abs(v) <= across / 2 + 1e-9
-    )
-    return inside.astype(np.uint8)
+    return x, y, np.cos(yaw), np.sin(yaw)
