@@ -22,13 +22,7 @@ from calibration.exchange import (
     import_easy_handeye,
     import_vpg,
 )
-from calibration.file import (
-    PoseSection,
-    check_applies,
-    load_calibration,
-    make_calibration,
-    save_calibration,
-)
+from calibration.file import make_calibration
 from calibration.folder import read_lens, read_picture, read_views
 from calibration.printing import write_board
 from calibration.projection import Estimate
@@ -38,6 +32,12 @@ from calibration.solve import HandEye, solve
 from calibration.target import CharucoTarget
 from calibration.verify import HeldOut, Jackknife, hold_out, predicted_board
 from calibration.views import Mounting, View
+from tdpg_deploy.calibration_file import (
+    PoseSection,
+    check_applies,
+    load_calibration,
+    save_calibration,
+)
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics
@@ -260,7 +260,7 @@ def _verify(args: argparse.Namespace, console: Console) -> int:
         return 1
     quality = calibration.quality
     console.print(
-        f"{args.file}: {calibration.mounting.value}, {calibration.date:%Y-%m-%d}, "
+        f"{args.file}: {calibration.mounting}, {calibration.date:%Y-%m-%d}, "
         f"{quality.position_sd * 1e3:.3f} mm, {np.rad2deg(quality.rotation_sd):.4f} deg, "
         f"{quality.views_used} views: applies"
     )

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from calibration.projection import project
 from calibration.target import CharucoTarget
+from tdpg_deploy.depth_model import DepthModel
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics
@@ -23,18 +24,6 @@ from tdpg_deploy.hal import Intrinsics
 INSIDE = 0.08  # of a white square: strips between marker and edge, away from both
 LEAST_SAMPLES, LEAST_RANGE = 30, 0.08  # samples, and metres of depth, to fit two numbers
 WORST_RESIDUAL = 4e-3  # m rms beside the model: more is no inverse-affine error
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthModel:
-    """z = 1 / (a / z_measured + b). b in 1/m."""
-
-    a: float = 1.0
-    b: float = 0.0
-
-    def correct(self, depth: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Metres in, metres out, nan stays nan."""
-        return (depth / (self.a + self.b * depth)).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

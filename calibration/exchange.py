@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.file import Calibration, read_yaml
 from calibration.views import Mounting
+from tdpg_deploy.calibration_file import Calibration, read_yaml
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Transform
 
@@ -49,7 +49,7 @@ def import_easy_handeye(path: Path) -> ForeignPose:
 
 
 def export_easy_handeye(calibration: Calibration) -> str:
-    on_hand = calibration.mounting is Mounting.EYE_IN_HAND
+    on_hand = calibration.mounting == "eye-in-hand"
     pose = calibration.pose
     names = ["x", "y", "z", *_QUATERNION]
     values = [*pose.position, *pose.quaternion]
@@ -91,7 +91,7 @@ def export_vpg(calibration: Calibration) -> tuple[str, str]:
 
     The scale is the depth model's at 0.7 m: the format cannot hold more.
     """
-    if calibration.mounting is not Mounting.EYE_TO_HAND:
+    if calibration.mounting != "eye-to-hand":
         raise CalibrationError("VPG's format is for a fixed camera; this one is eye-in-hand")
     rows = calibration.pose.transform().as_matrix()
     text = "\n".join(" ".join(f"{value:.18e}" for value in row) for row in rows)

@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.detect import detect
-from calibration.file import read_yaml
 from calibration.target import CharucoTarget
 from calibration.views import View
+from tdpg_deploy.calibration_file import read_yaml
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics

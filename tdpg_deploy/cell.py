@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from tdpg_deploy.calibrated_camera import CalibratedCamera
 from tdpg_deploy.cell_config import CameraSection, CellConfig
 from tdpg_deploy.hal import Arm, Camera, Clock, Gripper, RgbdFrame
 
@@ -37,6 +38,8 @@ class Cell:
     """Devices of one cell. `with cell:` connects them; on any exit the arm is stopped and all
     are closed, the last one first, even when one of them fails.
 
+    Frames are put right by the calibration that the cell file names, if it names one.
+
     goal_pixels: (H, W) of the frame just taken, where it shows the object to fetch; None where
     nothing can tell. truth: counts that only a simulated world knows; for judging, never for
     deciding.
@@ -55,7 +58,8 @@ class Cell:
         release: Callable[[], None] | None = None,
     ) -> None:
         self.config = config
-        self.camera = camera
+        calibration = config.camera.calibration
+        self.camera = camera if calibration is None else CalibratedCamera(camera, calibration)
         self.arm = arm
         self.gripper = gripper
         self.clock = clock

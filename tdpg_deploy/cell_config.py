@@ -22,7 +22,8 @@ from pydantic import (
     model_validator,
 )
 
-from tdpg_deploy.errors import ConfigError
+from tdpg_deploy.calibration_file import Calibration, load_calibration
+from tdpg_deploy.errors import CalibrationError, ConfigError
 from tdpg_deploy.geometry import Transform
 
 if sys.version_info >= (3, 11):
@@ -117,12 +118,14 @@ DepthPreset = Literal["default", "hand", "high accuracy", "high density", "mediu
 
 
 class CameraSection(_Section):
-    """The D435. `X_base_camera` is its calibrated pose: optical axes, z forward."""
+    """The D435. X_base_camera: its pose, optical axes, z forward; a cell file gives it, or names
+    a calibration file that holds it."""
 
     driver: Literal["realsense"] = "realsense"
     serial: str | None = None
     width: Literal[640, 1280] = 1280
     X_base_camera: Pose
+    calibration: Calibration | None = None
     max_frame_age: Annotated[Seconds, Field(gt=0, le=5)] = 0.5
     frames_averaged: Annotated[int, Field(ge=1, le=60)] = 1
     fps: Literal[6, 15, 30] = 30
@@ -247,14 +250,37 @@ def parse_cell(data: dict[str, Any], *, source: str = "cell") -> CellConfig:
 
 
 def load_cell(path: Path) -> CellConfig:
-    """Read a TOML cell file. Raises ConfigError."""
+    """Read a TOML cell file, and the calibration that it names. Raises ConfigError."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not a TOML file: {error}") from error
+    camera = data.get("camera")
+    if isinstance(camera, dict) and isinstance(camera.get("calibration"), str):
+        data["camera"] = _calibrated(camera, path)
     return parse_cell(data, source=str(path))
+
+
+def _calibrated(camera: dict[str, Any], source: Path) -> dict[str, Any]:
+    """The camera's table with the calibration read from beside the cell file, and its pose."""
+    if "X_base_camera" in camera:
+        raise ConfigError(
+            f"{source}: camera.calibration and camera.X_base_camera are both given: remove "
+            "X_base_camera, the calibration holds it"
+        )
+    try:
+        calibration = load_calibration(source.parent / camera["calibration"])
+    except CalibrationError as error:
+        raise ConfigError(f"{source}: camera.calibration: {error}") from error
+    if calibration.mounting != "eye-to-hand":
+        raise ConfigError(
+            f"{source}: camera.calibration is {calibration.mounting}; a fixed camera is needed: "
+            "calibrate eye-to-hand"
+        )
+    pose = Pose(position=calibration.pose.position, quaternion=calibration.pose.quaternion)
+    return {**camera, "calibration": calibration, "X_base_camera": pose}
 
 
 def _explain(error: ValidationError) -> str:

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.drift import TagCorners, check_still, find_tags
 from policies.shipped import NamedPolicy
-from tdpg_deploy.cell import open_cell
+from tdpg_deploy.calibration_file import check_applies
+from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode import Confirm, run_episode
 from tdpg_deploy.episode_log import software
@@ -39,7 +41,8 @@ def log_episode(
     """Run one episode and leave its log at `path`.
 
     scene: what lies on a simulated table. watch: puts a listener before the log's writer.
-    confirm: asked before each action. Raises what open_cell and run_episode raise.
+    confirm: asked before each action. Raises what open_cell, check_calibration and run_episode
+    raise.
     """
     about = About(
         cell=config,
@@ -52,15 +55,30 @@ def log_episode(
         commit=software.commit(),
         versions=software.versions(),
     )
-    with (
-        open_cell(config, real=real, scene=scene, seed=seed) as cell,
-        EpisodeWriter(path, about, now=cell.clock.now) as log,
-    ):
-        return run_episode(
-            cell,
-            policy.decider,
-            rng=np.random.default_rng(seed),
-            log=watch(log),
-            goal=goal,
-            confirm=confirm,
-        )
+    with open_cell(config, real=real, scene=scene, seed=seed) as cell:
+        check_calibration(cell)
+        with EpisodeWriter(path, about, now=cell.clock.now) as log:
+            return run_episode(
+                cell,
+                policy.decider,
+                rng=np.random.default_rng(seed),
+                log=watch(log),
+                goal=goal,
+                confirm=confirm,
+            )
+
+
+def check_calibration(cell: Cell) -> None:
+    """Before anything moves, by one frame: that the calibration which the cell file names is this
+    camera's and not stale, and that the table tags are where they were. Nothing is checked of a
+    pose that was typed in. Raises CalibrationError.
+    """
+    calibration = cell.config.camera.calibration
+    if calibration is None:
+        return
+    frame = cell.camera.capture()
+    height, width = frame.color.shape[:2]
+    check_applies(calibration, serial=frame.serial, width=width, height=height)
+    if calibration.tags:
+        before = TagCorners(corners=calibration.tag_corners())
+        check_still(before, find_tags(frame.color))

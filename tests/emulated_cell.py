@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
 import socket
-import subprocess
-import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
-from ur_rig import new_host, processes_of
+from ur_rig import new_host, processes_of, wait_until
 
 from policies.decide import allowed, best_grasps, to_primitive
 from policies.errors import NoActionError
@@ -25,9 +17,9 @@ from policies.heightmap import SIZE, Heightmap
 from policies.policy import ROTATIONS, Decision, QMaps
 from policies.primitives import Primitive
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
-from tdpg_deploy.emulators.cell_file import CAMERA_PORT, format_cell
+from tdpg_deploy.emulators.cell_file import CAMERA_PORT
+from tdpg_deploy.emulators.cell_process import CellProcess
 
-END_LIMIT = 20.0  # s
 PORTS = (29999, 30003, 30004, 63352, 54321, CAMERA_PORT)
 STILL = 1e-3  # rad/s
 
@@ -61,80 +53,33 @@ def small_cell(**gripper: object) -> CellConfig:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class EmulatorRig:
-    """config: the file that tdpg-emulate wrote."""
-
-    config: Path
-    process: subprocess.Popen[str]
+class EmulatorRig(CellProcess):
+    """A running tdpg-emulate, and waits for what its arm does."""
 
     @property
     def host(self) -> str:
-        return load_cell(self.config).arm.host
-
-    def type(self, command: str) -> dict[str, Any]:
-        """What is answered to this line."""
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.write(f"{command}\n")
-        self.process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self.process.stdout.readline())
-        return answer
-
-    def do(self, command: str) -> Any:
-        """What a command returns."""
-        answer = self.type(command)
-        assert "error" not in answer, answer
-        return answer["ok"]
+        return self.config.arm.host
 
     def wait_for_motion(self, *, deadline: float = 60.0) -> None:
-        end = time.monotonic() + deadline
-        while self.do("truth")["speed"] < 0.2:
-            assert time.monotonic() < end, "the arm did not move"
-            time.sleep(0.01)
+        wait_until(lambda: self.do("truth")["speed"] > 0.2, deadline=deadline)
 
-    def wait_for_rest(self, *, deadline: float = 5.0) -> None:
-        end = time.monotonic() + deadline
-        while self.do("truth")["speed"] > STILL:
-            assert time.monotonic() < end, "the arm still moves"
-            time.sleep(0.01)
+    def wait_for_rest(self, *, deadline: float = 20.0) -> None:
+        wait_until(lambda: self.do("truth")["speed"] < STILL, deadline=deadline)
 
     def stands_still(self) -> bool:
         """For a second of the cell's time."""
         before = self.do("truth")
-        while (now := self.do("truth"))["time"] < before["time"] + 1.0:
-            time.sleep(0.01)
-        return bool(np.abs(np.subtract(now["q"], before["q"])).max() < 1e-3)
+        wait_until(lambda: self.do("truth")["time"] > before["time"] + 1.0, deadline=60.0)
+        return bool(np.abs(np.subtract(self.do("truth")["q"], before["q"])).max() < 1e-3)
 
 
 @contextmanager
-def emulator(directory: Path, config: CellConfig, *arguments: str | Path) -> Iterator[EmulatorRig]:
-    """A running tdpg-emulate, ended by Ctrl-C, of which nothing is left afterwards."""
-    asked, written = directory / "cell.toml", directory / "emulated.toml"
-    asked.write_text(format_cell(config))
-    command = [sys.executable, "-m", "tdpg_deploy.cli.emulate", str(asked)]
-    process = subprocess.Popen(
-        [*command, *map(str, arguments), "--write-config", str(written)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    try:
-        assert process.stdout is not None
-        for line in process.stdout:  # ends with the process
-            if line.startswith("commands"):
-                break
-        assert process.poll() is None, "tdpg-emulate did not start"
-        yield EmulatorRig(config=written, process=process)
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            code = process.wait(END_LIMIT)
-        finally:
-            process.kill()
-            process.communicate()
-    assert code == 0
+def emulator(config: CellConfig, *arguments: str | Path) -> Iterator[EmulatorRig]:
+    """A running tdpg-emulate, of which nothing is left afterwards."""
+    rig = EmulatorRig(config, *arguments)
+    with rig:
+        yield rig
+    assert rig.exit_code == 0
     assert processes_of(config.arm.host) == {}
     for port in PORTS:
         with socket.socket() as probe:

@@ -17,6 +17,8 @@ FOUNDATION = [
     "tdpg_deploy.errors",
     "tdpg_deploy.geometry",
     "tdpg_deploy.cell_config",
+    "tdpg_deploy.calibration_file",
+    "tdpg_deploy.depth_model",
     "tdpg_deploy.hal",
 ]
 COMPILER = ["tdpg_deploy.compiled"]
@@ -31,6 +33,9 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "tdpg_deploy.geometry": [],
     "tdpg_deploy.cell_config": FOUNDATION,
     "tdpg_deploy.hal": FOUNDATION,
+    "tdpg_deploy.calibration_file": FOUNDATION,
+    "tdpg_deploy.depth_model": [],
+    "tdpg_deploy.calibrated_camera": FOUNDATION,
     "tdpg_deploy.plan": FOUNDATION + VALUES,
     "tdpg_deploy.outcome": [],
     "tdpg_deploy.kinematics": FOUNDATION,

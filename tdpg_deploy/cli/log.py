@@ -1,4 +1,4 @@
-"""tdpg-log: is a log whole, what is in it, and what can be saved of it?"""
+"""tdpg-log: is a log whole, what is in it, what can be saved of it, and exports."""
 
 from __future__ import annotations
 
@@ -53,6 +53,10 @@ def _parser() -> argparse.ArgumentParser:
     info = commands.add_parser("info", help="what an episode was, and its steps")
     info.add_argument("log", type=Path, metavar="LOG")
     info.set_defaults(run=_info)
+    export = commands.add_parser("export", help="logs as a dataset for training")
+    export.add_argument("--lerobot", required=True, type=Path, metavar="DIR", help="a new folder")
+    export.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    export.set_defaults(run=_export)
     return parser
 
 
@@ -87,6 +91,35 @@ def _tell(log: Path, report: Report, console: Console) -> None:
     console.print(f"{log}: {condition}, {report.messages} messages can be read", soft_wrap=True)
     for damage in report.damage:
         console.print(f"  {damage}", soft_wrap=True, markup=False)
+
+
+def _export(args: argparse.Namespace, console: Console) -> int:
+    try:
+        from tdpg_deploy.episode_log.lerobot.dataset import DatasetWriter
+    except ModuleNotFoundError as error:
+        raise LogError(f"{error.name} is missing: pip install 'tdpg-deploy[audit]'") from error
+    from tdpg_deploy.episode_log.lerobot.frames import frames
+    from tdpg_deploy.episode_log.reader import read_episode
+    from tdpg_deploy.episode_log.recover import Condition
+
+    condition = Condition.WHOLE
+    try:
+        with DatasetWriter(args.lerobot) as dataset:
+            for log in args.logs:
+                before = dataset.frames
+                try:
+                    dataset.add(frames(read_episode(log)))
+                except LogError as error:
+                    condition = Condition.LOSSY
+                    console.print(str(error), style="yellow", markup=False, soft_wrap=True)
+                told = f"{log}: {dataset.frames - before} frames"
+                console.print(told, soft_wrap=True, markup=False)
+    except OSError as error:
+        raise LogError(f"{args.lerobot}: cannot be written ({error.strerror})") from error
+    if not dataset.frames:
+        return Condition.NOTHING.value
+    console.print(f"{args.lerobot}: {dataset.frames} frames", soft_wrap=True, markup=False)
+    return condition.value
 
 
 def _info(args: argparse.Namespace, console: Console) -> int:

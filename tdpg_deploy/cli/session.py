@@ -143,6 +143,7 @@ def ask_consent(console: Console, config: CellConfig, policy: NamedPolicy) -> No
         f"At most {limits.travel_speed:.2f} m/s in free space, {limits.contact_speed:.2f} m/s near "
         f"objects, {limits.touch_speed:.3f} m/s onto them; it stops above "
         f"{limits.descend_force:.0f} N going down and {limits.push_force:.0f} N pushing.\n"
+        f"{describe_calibration(config)}\n"
         "Keep clear, and a hand at the emergency stop. Ctrl-C stops the arm."
     )
     if not sys.stdin.isatty():
@@ -152,6 +153,25 @@ def ask_consent(console: Console, config: CellConfig, policy: NamedPolicy) -> No
         )
     if console.input("Type yes to go on: ").strip().lower() != "yes":
         raise ConfigError("nothing was moved: the answer was not yes")
+
+
+def describe_calibration(config: CellConfig) -> str:
+    """How the camera's pose came to be known, in a sentence."""
+    calibration = config.camera.calibration
+    if calibration is None:
+        return (
+            "The camera's pose is typed into the cell file: its error is not known, and a moved "
+            "camera will not be noticed. tdpg-calibrate makes a calibration."
+        )
+    watch = (
+        f"{len(calibration.tags)} table tags tell whether it has moved since"
+        if calibration.tags
+        else "no table tags were seen, so a moved camera will not be noticed"
+    )
+    return (
+        f"The camera was calibrated {calibration.age().days} days ago to "
+        f"{calibration.quality.position_sd * 1e3:.2f} mm; {watch}."
+    )
 
 
 def _report(console: Console, result: EpisodeResult, path: Path, picture: Path) -> None:

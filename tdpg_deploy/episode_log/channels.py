@@ -78,9 +78,16 @@ DOCUMENTS: dict[str, Any] = {
     OUTCOME: Conclusion,
     RESULT: End,
 }
-IMAGES = frozenset(
-    {COLOR, DEPTH, CALIBRATION, HEIGHTMAP, HEIGHTMAP_COLOR, HEIGHTMAP_POINTS, Q_PUSH, Q_GRASP}
-)
+PICTURES = frozenset({COLOR, HEIGHTMAP_COLOR, Q_PUSH, Q_GRASP})  # what a page shows
+MEASURED = frozenset({DEPTH, CALIBRATION, HEIGHTMAP, HEIGHTMAP_POINTS})
+IMAGES = PICTURES | MEASURED
+
+
+def chunk_of(topic: str) -> str:
+    """What a chunk with messages on `topic` holds, and nothing else: whoever reads one kind need
+    not unpack the others."""
+    return "picture" if topic in PICTURES else "measured" if topic in MEASURED else "document"
+
 
 BASE = "base"
 TOOL = "tool"

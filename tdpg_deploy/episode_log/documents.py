@@ -21,10 +21,12 @@ from typing import Any, TypeAlias, TypeVar, Union, cast, get_args, get_origin, g
 
 import numpy as np
 
+from policies.primitives import Primitive
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.geometry import Transform
 
 T = TypeVar("T")
+_UNIMPORTED = {"Primitive": Primitive}  # what a module names in its types, but does not import
 
 
 def encode(value: object) -> bytes:
@@ -35,7 +37,7 @@ def encode(value: object) -> bytes:
 def decode(kind: type[T] | types.UnionType, data: bytes) -> T:
     """The dataclass (or the member of the union `kind`) in `data`. Raises LogError."""
     try:
-        result: T = _reader(cast(Any, kind))(json.loads(data))
+        result: T = _reader(cast(Any, kind))(json.loads(data.decode()))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         name = getattr(kind, "__name__", str(kind))
         raise LogError(f"not a {name} document: {type(error).__name__}: {error}") from error
@@ -126,7 +128,7 @@ def _member_reader(members: tuple[Any, ...]) -> Reader:
 
 
 def _object_reader(kind: Any) -> Reader:
-    hints = get_type_hints(kind)
+    hints = get_type_hints(kind, localns=_UNIMPORTED)
     readers = {field.name: _reader(hints[field.name]) for field in fields(kind)}
     required = {
         field.name
@@ -145,6 +147,8 @@ def _object_reader(kind: Any) -> Reader:
 
 
 def _float(value: Any) -> float:
+    if type(value) is float:  # the most frequent of all by far
+        return value
     return nan if value is None else float(_expect((int, float), value))
 
 
@@ -187,7 +191,7 @@ def _schema(kind: Any) -> dict[str, Any]:
         return {"type": "object", "additionalProperties": _schema(arguments[1])}
     if issubclass(kind, Enum):
         return {"enum": [member.value for member in kind]}
-    hints = get_type_hints(kind)
+    hints = get_type_hints(kind, localns=_UNIMPORTED)
     properties = {field.name: _schema(hints[field.name]) for field in fields(kind)}
     return {
         "title": kind.__name__,

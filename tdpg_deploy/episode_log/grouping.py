@@ -14,9 +14,10 @@ from tdpg_deploy.episode_log.entries import (
     QPictures,
     Refusal,
     Step,
+    ToolPoint,
 )
 from tdpg_deploy.errors import LogError
-from tdpg_deploy.hal import ArmState, GripperState
+from tdpg_deploy.hal import GripperState
 from tdpg_deploy.outcome import Outcome
 
 # Of one step: half an hour at 100 Hz. A small hostile file may unpack to any number.
@@ -31,7 +32,7 @@ class _Open:
     refusals: list[Refusal] = field(default_factory=list)
     q_pictures: QPictures | None = None
     intent: Intent | None = None
-    arm_states: list[ArmState] = field(default_factory=list)
+    tool_path: list[ToolPoint] = field(default_factory=list)
     gripper_states: list[GripperState] = field(default_factory=list)
     next_look: Look | None = None
     seen: LookDocument | None = None
@@ -43,7 +44,7 @@ class _Open:
             refusals=tuple(self.refusals),
             q_pictures=self.q_pictures,
             intent=self.intent,
-            arm_states=tuple(self.arm_states),
+            tool_path=tuple(self.tool_path),
             gripper_states=tuple(self.gripper_states),
             next_look=self.next_look,
             outcome=outcome,
@@ -56,7 +57,7 @@ class _Open:
 
     @property
     def size(self) -> int:
-        return len(self.refusals) + len(self.arm_states) + len(self.gripper_states)
+        return len(self.refusals) + len(self.tool_path) + len(self.gripper_states)
 
     @property
     def worth_telling(self) -> bool:
@@ -86,8 +87,8 @@ def group(entries: Iterable[Entry]) -> Iterator[Step]:
                     current.q_pictures = entry
                 else:
                     current.intent = entry
-            elif isinstance(entry, ArmState):
-                current.arm_states.append(entry)
+            elif isinstance(entry, ToolPoint):
+                current.tool_path.append(entry)
             elif isinstance(entry, GripperState):
                 current.gripper_states.append(entry)
             elif isinstance(entry, Conclusion):

@@ -89,6 +89,11 @@ def encode_picture(rgb: npt.NDArray[np.uint8], time: int, frame_id: str) -> Comp
 
 def decode_picture(message: CompressedImage) -> npt.NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB. Raises LogError."""
+    return np.asarray(cv2.cvtColor(decode_bgr(message), cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def decode_bgr(message: CompressedImage) -> npt.NDArray[np.uint8]:
+    """(H, W, 3) uint8, as OpenCV has it. Raises LogError."""
     png = message.data
     width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))  # IHDR
     if not png.startswith(b"\x89PNG") or not 0 < width <= MAX_SIDE or not 0 < height <= MAX_SIDE:
@@ -99,7 +104,7 @@ def decode_picture(message: CompressedImage) -> npt.NDArray[np.uint8]:
         raise LogError(f"a PNG image that cannot be decoded: {error}") from error
     if bgr is None:
         raise LogError("a PNG image that cannot be decoded")
-    return np.ascontiguousarray(bgr[..., ::-1], np.uint8)
+    return np.asarray(bgr, np.uint8)
 
 
 def encode_depth(depth: npt.NDArray[np.float32], time: int) -> RawImage:
@@ -203,6 +208,15 @@ def decode_transform(message: FrameTransforms, child: str) -> Transform | None:
                 return Transform.from_quaternion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
             except ValueError as error:
                 raise LogError(f"not a pose of {child}: {error}") from error
+    return None
+
+
+def decode_translation(message: FrameTransforms, child: str) -> tuple[float, float, float] | None:
+    """Of X_parent_child, or None if the message tells of other frames."""
+    for transform in message.transforms:
+        if transform.child_frame_id == child:
+            p = transform.translation
+            return p.x, p.y, p.z
     return None
 
 

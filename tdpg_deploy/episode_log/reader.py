@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -22,6 +23,7 @@ from tdpg_deploy.episode_log.entries import (
     End,
     Entry,
     ForceDocument,
+    ForceNorm,
     Intent,
     LoggedDecision,
     Look,
@@ -29,6 +31,7 @@ from tdpg_deploy.episode_log.entries import (
     PlanDocument,
     QPictures,
     Step,
+    ToolPoint,
 )
 from tdpg_deploy.episode_log.grouping import group
 from tdpg_deploy.episode_log.records import chunks_of, read_records
@@ -49,16 +52,19 @@ class Episode:
         """Everything, in order. Without `images` they stay unread and unchecked, which is many
         times faster, and a LookDocument stands for each look; without `states` those of arm and
         gripper are left out."""
-        ignore = _FOR_VIEWERS | (_STATES if not states else set())
-        if images:
-            yield from _entries(self._records(ignore), images=True)
-        else:
-            unread = ignore | channels.IMAGES
-            yield from _entries(self._records(unread, unread=unread), images=False)
+        return self._entries(_FOR_VIEWERS if states else _FOR_VIEWERS | _STATES, _CLOSING, images)
 
     def steps(self, *, images: bool = True, states: bool = True) -> Iterator[Step]:
-        """One for each planned action, and a last one for refusals that led to none."""
-        return group(self.entries(images=images, states=states))
+        """One for each planned action, and a last one for refusals that led to none. Of the arm's
+        states they hold ToolPoints."""
+        ignore = _FOR_VIEWERS | {channels.JOINTS} if states else _FOR_VIEWERS | _STATES
+        return group(self._entries(ignore, _CLOSING_OF_STEPS, images))
+
+    def _entries(self, ignore: Set[str], closing: _Closing, images: bool) -> Iterator[Entry]:
+        if images:
+            return _entries(self._records(ignore), closing)
+        unread = ignore | channels.IMAGES
+        return _entries(self._records(unread, unread=unread), closing | _WITHOUT_IMAGES)
 
     def raw(self, topics: Set[str]) -> Iterator[tuple[str, bytes]]:
         """Topic and content of the messages on these topics, in order, not decoded.
@@ -123,10 +129,9 @@ def _read_head(records: Iterator[McapRecord]) -> About:
     return from_metadata(metadata[METADATA], metadata.get(VERSIONS, {}), attachments)
 
 
-def _entries(records: Iterator[McapRecord], *, images: bool) -> Iterator[Entry]:
+def _entries(records: Iterator[McapRecord], closing: _Closing) -> Iterator[Entry]:
     topics: dict[int, str] = {}
     parts = _Parts()
-    closing = _CLOSING if images else _CLOSING_DOCUMENTS
     for record in records:
         if isinstance(record, Channel):
             topics[record.id] = record.topic
@@ -215,13 +220,27 @@ def _arm_state(parts: _Parts, closing: Message) -> ArmState | None:
     return ArmState(q=q, qd=qd, X_base_tool=pose, force=force, stamp=document.stamp)
 
 
-_CLOSING: dict[str, Callable[[_Parts, Message], Entry | None]] = {
+def _tool_point(parts: _Parts, closing: Message) -> ToolPoint | None:
+    document = documents.decode(ForceNorm, closing.data)
+    data = parts.take(closing, channels.TRANSFORMS)
+    if data is None:
+        return None
+    transforms = messages.parse(FrameTransforms, data[0])
+    p_base = messages.decode_translation(transforms, channels.TOOL)
+    if p_base is None:
+        return None
+    return ToolPoint(p_base=p_base, force=document.norm, stamp=document.stamp)
+
+
+_Closing: TypeAlias = dict[str, Callable[[_Parts, Message], Entry | None]]
+_CLOSING: _Closing = {
     channels.LOOK: _look,
     channels.Q_GRASP: _q_pictures,
     channels.PLAN: _intent,
     channels.TOOL_FORCE: _arm_state,
 }
-_CLOSING_DOCUMENTS = _CLOSING | {channels.LOOK: lambda _, closing: _look_document(closing)}
+_CLOSING_OF_STEPS: _Closing = _CLOSING | {channels.TOOL_FORCE: _tool_point}
+_WITHOUT_IMAGES: _Closing = {channels.LOOK: lambda _, closing: _look_document(closing)}
 _STATES = frozenset({channels.JOINTS, channels.TRANSFORMS, channels.TOOL_FORCE, channels.GRIPPER})
 _FOR_VIEWERS = frozenset({channels.LOG_LINES, channels.PLAN_SCENE, channels.PLAN_POSES})
 _ALONE = channels.DOCUMENTS.keys() - _CLOSING.keys() - {channels.DECISION}

@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.writer import Writer
 
 from tdpg_deploy import __version__
-from tdpg_deploy.episode_log.channels import IMAGES
+from tdpg_deploy.episode_log.channels import chunk_of
 from tdpg_deploy.episode_log.reader import read_episode
 from tdpg_deploy.episode_log.records import read_records
 from tdpg_deploy.errors import LogError
@@ -100,8 +100,8 @@ class _Copy:
         self._writer = writer
         self._schemas = {0: 0}
         self._channels: dict[int, int] = {}
-        self._images: set[int] = set()
-        self._in_images = False
+        self._chunks: dict[int, str] = {}  # channel -> what its chunks hold
+        self._chunk = ""
         writer.start(profile="tdpg", library=f"tdpg-deploy {__version__} recover")
 
     def add(self, record: McapRecord) -> None:
@@ -131,17 +131,15 @@ class _Copy:
                 self._schemas[channel.schema_id],
                 channel.metadata,
             )
-            if channel.topic in IMAGES:
-                self._images.add(channel.id)
+            self._chunks[channel.id] = chunk_of(channel.topic)
 
     def _add_message(self, message: Message) -> None:
         if message.channel_id not in self._channels:
             self.lost += 1
             return
-        is_image = message.channel_id in self._images
-        if is_image != self._in_images:  # images keep to their own chunks
+        if self._chunks[message.channel_id] != self._chunk:
             self._writer.flush()  # type: ignore[no-untyped-call]
-            self._in_images = is_image
+            self._chunk = self._chunks[message.channel_id]
         self._writer.add_message(
             self._channels[message.channel_id],
             message.log_time,

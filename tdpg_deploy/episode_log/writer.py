@@ -1,8 +1,9 @@
 """Write one episode as one MCAP file, while it happens.
 
-The file is called .part until it is closed. Every chunk holds either images or documents, so
-that an audit of the documents never unpacks an image. What an EpisodeRecorder has been told
-survives the death of the process once `observe`, `refused`, `intend` or `conclude` has returned.
+The file is called .part until it is closed. Every chunk holds pictures, measured images or
+documents, so that an audit of the documents never unpacks an image. What an EpisodeRecorder has
+been told survives the death of the process once `observe`, `refused`, `intend` or `conclude` has
+returned.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class EpisodeWriter:
         self._offset = 0
         self._channels: dict[str, int] = {}
         self._heightmap: Heightmap | None = None
-        self._in_images = False
+        self._chunk = ""
         self._step = 0
         self._failure: str | None = None
 
@@ -214,10 +215,9 @@ class EpisodeWriter:
         self._mcap.flush()  # type: ignore[no-untyped-call]
 
     def _add(self, topic: str, data: bytes, time: int) -> None:
-        is_image = topic in channels.IMAGES
-        if is_image != self._in_images:
+        if channels.chunk_of(topic) != self._chunk:
             self._flush()
-            self._in_images = is_image
+            self._chunk = channels.chunk_of(topic)
         log_time = self._time(self._now())
         self._mcap.add_message(self._channels[topic], log_time, data, publish_time=time)
 
@@ -247,10 +247,10 @@ def _look(
         channels.TRANSFORMS: messages.encode_transform(
             channels.BASE, channels.CAMERA, X_base_camera, time
         ),
-        channels.CALIBRATION: messages.encode_calibration(frame.intrinsics, time),
         channels.COLOR: messages.encode_picture(frame.color, time, channels.CAMERA),
+        channels.HEIGHTMAP_COLOR: messages.encode_picture(seen, time, ""),
+        channels.CALIBRATION: messages.encode_calibration(frame.intrinsics, time),
         channels.DEPTH: messages.encode_depth(frame.depth, time),
         channels.HEIGHTMAP: messages.encode_heightmap(heightmap, time),
-        channels.HEIGHTMAP_COLOR: messages.encode_picture(seen, time, ""),
         channels.HEIGHTMAP_POINTS: messages.encode_points(heightmap, time),
     }

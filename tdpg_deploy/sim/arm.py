@@ -12,7 +12,7 @@ from tdpg_deploy.sim.profile import trapezoid
 from tdpg_deploy.sim.world import World
 
 TURN_RADIUS = 0.2  # m; a turn of one radian takes as long as a way of this length
-REPORT_EVERY = 6  # steps: 40 Hz
+REPORT_EVERY = 10  # steps: 24 Hz, a little more than hal.Arm promises
 BLOCKED = 0.005  # m or rad between where a joint is and where it was driven
 PRESSED_STEPS = 2  # in a row; a knock is one step long, and a force sensor's filter hides it
 RELIEF_STEPS = 4

@@ -72,7 +72,7 @@ class SimCamera:
             true_pose(self._config),
             Lighting(direction=simulation.light),
         )
-        depth = seen.depth
+        depth = as_counted(seen.depth)
         if simulation.depth_noise:
             depth = mean_depth(
                 [

@@ -19,12 +19,15 @@ from policies.heightmap import Workspace
 from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.sim.bodies import SHAPES, Shape
+from tdpg_deploy.sim.novel import NOVEL
 from tdpg_deploy.sim.scenes import MAX_OBJECTS, Scene, SceneObject
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+NAMED_SHAPES: Mapping[str, Shape] = {**SHAPES, **NOVEL}
 
 UNIT_BY_HAND = 1e-3  # |q| of a quaternion that somebody typed
 UNIT_AS_SAVED = 1e-12  # |q| of one that a program wrote
@@ -61,7 +64,9 @@ class _File(_Section):
     object: Annotated[tuple[_Object, ...], Field(max_length=MAX_OBJECTS)] = ()
 
 
-def load_scene(path: Path, workspace: Workspace, shapes: Mapping[str, Shape] = SHAPES) -> Scene:
+def load_scene(
+    path: Path, workspace: Workspace, shapes: Mapping[str, Shape] = NAMED_SHAPES
+) -> Scene:
     """Read a scene file. Raises SceneError that names each wrong field, and refuses objects
     outside of the workspace."""
     try:
@@ -86,7 +91,7 @@ def save_scene(scene: Scene, path: Path) -> None:
         raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def parse_scene(text: str, shapes: Mapping[str, Shape] = SHAPES) -> Scene:
+def parse_scene(text: str, shapes: Mapping[str, Shape] = NAMED_SHAPES) -> Scene:
     """A scene from a file's text. Raises SceneError that names each wrong field."""
     try:
         file = _File.model_validate(tomllib.loads(text))

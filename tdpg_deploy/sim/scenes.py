@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -62,6 +62,12 @@ class Scene:
                     f"object[{index}].position: z = {z:.3f} m is not 0 to {MAX_HEIGHT:g} m above "
                     f"the table at {workspace.table_z:.3f} m: move it there"
                 )
+
+    def with_goal(self, index: int) -> Scene:
+        """With this object, and no other, as the one to fetch."""
+        return Scene(
+            objects=tuple(replace(item, goal=i == index) for i, item in enumerate(self.objects))
+        )
 
 
 def random_scene(

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from calibration.cli import main
-from calibration.file import load_calibration
 from calibration.pictures import paint_board
 from calibration.synthetic import Truth, make_truth, observe
 from calibration.target import DEFAULT_TARGET
 from calibration.views import Mounting, PoseNoise
+from tdpg_deploy.calibration_file import load_calibration
 
 
 @pytest.fixture(scope="module")

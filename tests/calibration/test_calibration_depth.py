@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.depth import DepthModel, DepthSamples, fit_depth, sample_depth
+from calibration.depth import DepthSamples, fit_depth, sample_depth
 from calibration.pictures import board_in_front, paint_board
 from calibration.synthetic import D435_720P
 from calibration.target import DEFAULT_TARGET
+from tdpg_deploy.depth_model import DepthModel
 from tdpg_deploy.errors import CalibrationError
 
 BASELINE = 0.05  # m, D435

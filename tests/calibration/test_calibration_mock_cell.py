@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from calibration.approach import Approach
 from calibration.cli import main
 from calibration.collect import Plan, Progress, collect, view_of
-from calibration.file import load_calibration
 from calibration.pictures import paint_board
 from calibration.projection import Estimate
 from calibration.record import read_record
 from calibration.solve import solve
 from calibration.target import CharucoTarget
 from calibration.views import Mounting
+from tdpg_deploy.calibration_file import load_calibration
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, Pose, load_cell
 from tdpg_deploy.geometry import Array, Transform

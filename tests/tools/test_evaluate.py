@@ -34,11 +34,6 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     assert [log.stat().st_mtime_ns for log in logs] == written
 
 
-def test_nothing_to_evaluate_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--policy", "random", "--out", str(tmp_path)]) == 2
-    assert "--objects or --scene" in capsys.readouterr().out
-
-
 def test_a_log_that_is_none(tmp_path: Path) -> None:
     file = tmp_path / "noise.mcap"
     file.write_bytes(b"noise")

@@ -15,10 +15,11 @@ def row(
     actions: int = 10,
     grasps: int = 10,
     successes: int = 10,
+    goal: bool = False,
 ) -> EpisodeRow:
     return EpisodeRow(
         scene="random 10", seed=0, reason=reason, objects=objects, actions=actions,
-        grasps=grasps, grasp_successes=successes,
+        grasps=grasps, grasp_successes=successes, goal=goal,
     )  # fmt: skip
 
 
@@ -56,6 +57,20 @@ def test_no_completed_episode_is_not_a_number_rather_than_zero() -> None:
     assert metrics.completion.value == 0
     assert np.isnan(metrics.of_completed.grasp_success.value)
     assert metrics.of_all.grasp_success.value == 0
+
+
+def test_a_goal_that_was_not_fetched_is_no_object_cleared() -> None:
+    fetched = row(EndReason.GOAL_REACHED, objects=1, actions=2, grasps=2, successes=2, goal=True)
+    lost = row(EndReason.STUCK, objects=1, actions=10, grasps=10, successes=3, goal=True)
+    metrics = evaluate([fetched, lost])
+    assert metrics.of_completed.action_efficiency.value == pytest.approx(0.5)
+    assert metrics.of_all.action_efficiency.value == pytest.approx(0.25)
+    assert metrics.of_all.grasp_success.value == pytest.approx((1 + 0.3) / 2)
+
+
+def test_two_objects_in_one_grasp_are_more_than_one_object_an_action() -> None:
+    metrics = evaluate([row(objects=10, actions=9, grasps=9, successes=9)])
+    assert metrics.of_all.action_efficiency.value == pytest.approx(10 / 9)
 
 
 def test_no_episode_is_an_error() -> None:

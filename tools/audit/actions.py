@@ -128,9 +128,9 @@ def _stopped_by_force(step: Step, intent: Intent, outcome: Outcome) -> Finding |
 
 def _how_far(step: Step, descent: MoveLinear | None) -> str:
     """How high above its goal the descent ended; nothing if the states were not read."""
-    if descent is None or not step.arm_states:
+    if descent is None or not step.tool_path:
         return ""
-    lowest = min(float(state.X_base_tool.translation[2]) for state in step.arm_states)
+    lowest = min(point.p_base[2] for point in step.tool_path)
     above = lowest - float(descent.X_base_tool.translation[2])
     return f", {1000 * above:.0f} mm above its goal"
 

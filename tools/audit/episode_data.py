@@ -16,15 +16,14 @@ from policies.heightmap import PIXEL, Workspace
 from policies.primitives import Primitive, Push
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.episode_log.entries import Candidate, Step
-from tdpg_deploy.hal import ArmState
+from tdpg_deploy.episode_log.entries import Candidate, Step, ToolPoint
 from tdpg_deploy.outcome import GraspOutcome, Outcome
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
 from tdpg_deploy.workspace import workspace_of
 from tools.audit.actions import refusal_cause
 from tools.audit.causes import Finding
 
-SAMPLES = 120  # states of a step that are drawn
+SAMPLES = 120  # of a step's states that are drawn
 CANDIDATES = 16  # best actions that are marked on the map
 
 
@@ -61,7 +60,7 @@ def step_data(step: Step, findings: tuple[Finding, ...], cell: CellConfig) -> di
         "notes": list(plan.notes),
         "plan": _plan(plan, cell, workspace),
         "limits": _limits(plan),
-        "states": _states(step.arm_states, step.intent.stamp, workspace),
+        "path": _path(step.tool_path, step.intent.stamp, workspace),
         "widths": [
             [number(state.stamp - step.intent.stamp), number(1000 * state.width)]
             for state in step.gripper_states
@@ -132,20 +131,18 @@ def _limits(plan: Plan) -> dict[str, float]:
     }
 
 
-def _states(states: Sequence[ArmState], start: float, workspace: Workspace) -> dict[str, Any]:
+def _path(path: Sequence[ToolPoint], start: float, workspace: Workspace) -> dict[str, Any]:
     """Samples of the way, the peak of force among them, as columns."""
-    forces = [float(np.linalg.norm(state.force)) for state in states]
-    if not states:
-        return {"t": [], "force": [], "height": [], "at": []}
-    chosen = set(np.linspace(0, len(states) - 1, SAMPLES).astype(int).tolist())
-    chosen.add(int(np.argmax(forces)))
-    order = sorted(chosen)
-    places = [states[i].X_base_tool.translation for i in order]
+    chosen: set[int] = set()
+    if path:
+        strongest = max(range(len(path)), key=lambda i: path[i].force)
+        chosen = {strongest, *np.linspace(0, len(path) - 1, SAMPLES).astype(int).tolist()}
+    points = [path[i] for i in sorted(chosen)]
     return {
-        "t": [number(states[i].stamp - start, 3) for i in order],
-        "force": [number(forces[i], 2) for i in order],
-        "height": [number(1000 * (p[2] - workspace.table_z), 1) for p in places],
-        "at": [_pixel(p[0], p[1], workspace) for p in places],
+        "t": [number(point.stamp - start, 3) for point in points],
+        "force": [number(point.force, 2) for point in points],
+        "height": [number(1000 * (point.p_base[2] - workspace.table_z), 1) for point in points],
+        "at": [_pixel(point.p_base[0], point.p_base[1], workspace) for point in points],
     }
 
 

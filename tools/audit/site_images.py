@@ -66,9 +66,9 @@ def _write(
 
 
 def _small_jpeg(message: CompressedImage) -> bytes:
-    picture = messages.decode_picture(message)
-    height = round(CAMERA_WIDTH * picture.shape[0] / picture.shape[1])
-    small = cv2.resize(picture, (CAMERA_WIDTH, max(height, 1)), interpolation=cv2.INTER_AREA)
-    done, jpeg = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    bgr = messages.decode_bgr(message)
+    height = round(CAMERA_WIDTH * bgr.shape[0] / bgr.shape[1])
+    small = cv2.resize(bgr, (CAMERA_WIDTH, max(height, 1)), interpolation=cv2.INTER_AREA)
+    done, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     assert done
     return jpeg.tobytes()

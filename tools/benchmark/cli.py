@@ -10,6 +10,8 @@ BENCHMARKS = {
     "perception": "a D435 frame becomes a heightmap; the renderer",
     "decision": "a heightmap becomes a decision, for each network",
     "primitive": "grasps and pushes in the simulated cell",
+    "log": "what logging costs; reading a log back",
+    "audit": "tdpg-audit and its pages on 200 episodes of 30 steps",
     "calibration": "error of hand-eye calibration beside OpenCV's methods",
 }
 

@@ -20,7 +20,11 @@ COMPLETED = (EndReason.CLEARED, EndReason.GOAL_REACHED)
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeRow:
-    """One episode, by what was measured. objects: how many there were at the start."""
+    """One episode, by what was measured.
+
+    objects: how many were to be lifted: all at the start, or the one goal. goal: whether one
+    object was to be fetched. lifted: of each action, whether it was a successful grasp.
+    """
 
     scene: str
     seed: int
@@ -29,6 +33,8 @@ class EpisodeRow:
     actions: int
     grasps: int
     grasp_successes: int
+    goal: bool = False
+    lifted: tuple[bool, ...] = ()
 
     @property
     def completed(self) -> bool:
@@ -36,8 +42,11 @@ class EpisodeRow:
 
     @property
     def cleared(self) -> int:
-        """Objects that count for efficiency: all of a completed table, else what was lifted."""
-        return self.objects if self.completed else self.grasp_successes
+        """Objects that count for efficiency: all of a completed table, else what was lifted.
+        A goal that was not fetched is none, whatever was lifted from above it."""
+        if self.completed:
+            return self.objects
+        return 0 if self.goal else self.grasp_successes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +61,8 @@ class Estimate:
 @dataclass(frozen=True, kw_only=True)
 class Figures:
     """grasp_success: mean over episodes of successful grasps / grasps.
-    action_efficiency: mean over episodes of objects cleared / actions.
+    action_efficiency: mean over episodes of objects cleared / actions; over 1 where one grasp
+    lifted two.
     motions: mean number of actions."""
 
     episodes: int

@@ -33,7 +33,7 @@ def tell(step: Step) -> Iterator[Line]:
     yield "decided", decision(step.intent.decision)
     for note in step.intent.plan.notes:
         yield "planned", note
-    if step.arm_states:
+    if step.tool_path:
         yield "moved", motion(step)
     if step.outcome is None:
         yield "outcome", "not known: the log ends before"
@@ -71,10 +71,10 @@ def decision(made: LoggedDecision) -> str:
 
 
 def motion(step: Step) -> str:
-    states = step.arm_states
-    force = max(float(np.linalg.norm(state.force)) for state in states)
-    lowest = min(float(state.X_base_tool.translation[2]) for state in states)
-    seconds = states[-1].stamp - states[0].stamp
+    path = step.tool_path
+    force = max(point.force for point in path)
+    lowest = min(point.p_base[2] for point in path)
+    seconds = path[-1].stamp - path[0].stamp
     return f"{seconds:.1f} s, lowest at z = {lowest:+.3f} m, peak force {force:.1f} N"
 
 

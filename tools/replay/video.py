@@ -88,8 +88,8 @@ def _step(step: Step, title: str, speed: float) -> Iterator[Picture]:
     held = round(HOLD * FPS)
     decided = _with_lines(page, before)
     yield from [decided] * held
-    if step.arm_states:
-        started, ended = step.arm_states[0].stamp, step.arm_states[-1].stamp
+    if step.tool_path:
+        started, ended = step.tool_path[0].stamp, step.tool_path[-1].stamp
         for at in range(int((ended - started) / speed * FPS)):
             yield _with_traces(decided, step, started + at / FPS * speed)
         yield from [_with_traces(_with_lines(page, [*before, *after]), step, ended)] * held
@@ -141,10 +141,10 @@ def _with_lines(page: Picture, lines: list[telling.Line]) -> Picture:
 def _with_traces(page: Picture, step: Step, until: float) -> Picture:
     """Force and width up to this time on the cell's clock."""
     drawn = page.copy()
-    states = step.arm_states
-    span = (states[0].stamp, states[-1].stamp)
-    force = [(s.stamp, float(np.linalg.norm(s.force)) / MAX_FORCE) for s in states]
-    width = [(s.stamp, s.width / MAX_WIDTH) for s in step.gripper_states]
+    path = step.tool_path
+    span = (path[0].stamp, path[-1].stamp)
+    force = [(point.stamp, point.force / MAX_FORCE) for point in path]
+    width = [(state.stamp, state.width / MAX_WIDTH) for state in step.gripper_states]
     for trace, color in ((force, FORCE), (_held(width, until), FINGERS)):
         points = [_on_chart(t, share, span) for t, share in trace if t <= until]
         if points:

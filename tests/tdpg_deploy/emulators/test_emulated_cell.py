@@ -1,4 +1,4 @@
-"""The whole way through the true wires: tdpg-run --real on tdpg-emulate, healthy and not."""
+"""A whole cell on the true wires: what is seen and grasped, and faults in mid-episode."""
 
 from __future__ import annotations
 
@@ -13,19 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulated_cell import EmulatorRig, TallestGrasp, cubes, emulator, small_cell
-from mcap.reader import make_reader
 from ur_rig import processes_of
 
 from policies.shipped import NamedPolicy
 from tdpg_deploy.cell import open_cell
-from tdpg_deploy.cell_config import load_cell
 from tdpg_deploy.cli import session
 from tdpg_deploy.cli.emulate import main as emulate
 from tdpg_deploy.cli.run import main
 from tdpg_deploy.drivers.ur5_network import RTDE_PORT
 from tdpg_deploy.emulators.cell_file import format_cell
 from tdpg_deploy.emulators.cell_pendant import CellPendant
-from tdpg_deploy.episode_log.channels import REFUSAL
 from tdpg_deploy.episode_log.reader import read_episode
 from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.perception import build_heightmap
@@ -49,41 +46,13 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatorRig]:
     """One cell with four cubes, for all faults: none of them takes more than one away."""
     directory = tmp_path_factory.mktemp("cell")
     scene = cubes(directory, *PLACES)
-    with emulator(directory, small_cell(), "--scene", scene, "--pace", "2") as rig:
+    with emulator(small_cell(), "--scene", scene, "--pace", "2") as rig:
         yield rig
 
 
 def run_real(rig: EmulatorRig, out: Path) -> int:
-    options = ("--real", "--unattended", "--speed", "1", "--config", rig.config, "--out", out)
+    options = ("--real", "--unattended", "--speed", "1", "--config", rig.file, "--out", out)
     return main([str(option) for option in options])
-
-
-def kinds(log: Path) -> set[tuple[str, str, str]]:
-    """Topic, schema and encoding of every channel; what was refused depends on the look."""
-    with log.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    return {
-        (channel.topic, summary.schemas[channel.schema_id].name, channel.message_encoding)
-        for channel in summary.channels.values()
-        if channel.topic != REFUSAL
-    }
-
-
-@pytest.mark.slow
-def test_it_clears_a_table_as_the_mock_cell_does(tmp_path: Path) -> None:
-    real, mock = tmp_path / "real", tmp_path / "mock"
-    scene = cubes(tmp_path, *PLACES[:2])
-    with emulator(tmp_path, small_cell(), "--scene", scene, "--pace", "2") as rig:
-        assert run_real(rig, real) == 0
-        assert rig.do("objects") == {"workspace": 0, "bin": 2, "outside": 0}
-        assert processes_of(rig.host) == {}  # the driver's child is gone
-        config = ("--config", str(rig.config), "--scene", str(scene))
-        assert main([*config, "--out", str(mock)]) == 0
-    (real_log,), (mock_log,) = real.glob("*.mcap"), mock.glob("*.mcap")
-    assert kinds(real_log) == kinds(mock_log)
-    told = [read_episode(log).result() for log in (real_log, mock_log)]
-    assert [result is not None and result.reason for result in told] == [EndReason.CLEARED] * 2
 
 
 @pytest.mark.slow
@@ -96,8 +65,8 @@ def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Pa
     wire = {"driver": driver, "port": "/dev/serial/by-id/none"}
     options = ("--objects", "2", "--seed", "3", "--generation", generation)
     first = []
-    with emulator(tmp_path, small_cell(**wire), *options) as rig:
-        config = load_cell(rig.config)
+    with emulator(small_cell(**wire), *options) as rig:
+        config = rig.config
         scene = random_scene(2, workspace_of(config), np.random.default_rng(3))
         with open_cell(config, real=True) as real, open_cell(config, scene=scene, seed=3) as mock:
             for cell in (real, mock):
@@ -157,7 +126,7 @@ def test_ctrl_c_stops_the_arm_and_closes_the_log(cell: EmulatorRig, tmp_path: Pa
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "tdpg_deploy.cli.run", "--real", "--unattended"),
-            *("--policy", "random", "--config", cell.config, "--out", tmp_path),
+            *("--policy", "random", "--config", cell.file, "--out", tmp_path),
         ]
     )
     cell.wait_for_motion()

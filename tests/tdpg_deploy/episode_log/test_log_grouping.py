@@ -8,7 +8,7 @@ import pytest
 from synthetic_episode import Synthetic
 
 from tdpg_deploy.episode_log import grouping
-from tdpg_deploy.episode_log.entries import Entry, Intent, LoggedDecision, Step
+from tdpg_deploy.episode_log.entries import Entry, Intent, LoggedDecision, Step, ToolPoint
 from tdpg_deploy.errors import LogError
 
 
@@ -19,8 +19,9 @@ def test_a_step_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
     intent: Entry = Intent(
         decision=LoggedDecision.of(decision), plan=synthetic.plan(decision.primitive), stamp=1.0
     )
+    point = ToolPoint(p_base=(0.5, 0.0, 0.1), force=3.0, stamp=2.0)
     steps: list[Step] = []
     with pytest.raises(LogError, match="more than 100 states"):
-        steps.extend(grouping.group(chain([intent], repeat(synthetic.arm_state()))))
+        steps.extend(grouping.group(chain([intent], repeat(point))))
     [step] = steps
-    assert len(step.arm_states) == 100
+    assert len(step.tool_path) == 100

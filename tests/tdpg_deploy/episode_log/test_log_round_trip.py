@@ -120,7 +120,13 @@ def test_steps_group_what_belongs_together(logged: tuple[Path, list[Call]]) -> N
     steps = list(read_episode(path).steps())
     looks = [expected(call) for call in calls if call.name == "observe"]
     assert [len(step.refusals) for step in steps] == [0, 1, 0]
-    assert [len(step.arm_states) for step in steps] == [4, 4, 4]
+    moved = [call.arguments[0] for call in calls if call.name == "arm_state"]
+    points = [point for step in steps for point in step.tool_path]
+    assert [len(step.tool_path) for step in steps] == [4, 4, 4]
+    assert [point.stamp for point in points] == [state.stamp for state in moved]
+    for point, state in zip(points, moved, strict=True):
+        assert point.p_base == tuple(state.X_base_tool.translation)
+        assert point.force == pytest.approx(np.linalg.norm(state.force))
     assert [len(step.gripper_states) for step in steps] == [1, 1, 1]
     outcomes = [call.arguments[0] for call in calls if call.name == "conclude"]
     assert same([step.outcome for step in steps], outcomes)
@@ -148,7 +154,7 @@ def test_an_interrupted_action_is_a_step_without_outcome(tmp_path: Path) -> None
     [step] = read_episode(path).steps()
     assert step.intent is not None
     assert step.outcome is None
-    assert len(step.arm_states) == 2
+    assert len(step.tool_path) == 2
 
 
 # --- as the mcap package reads it -------------------------------------------------------------

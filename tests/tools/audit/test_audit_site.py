@@ -78,7 +78,7 @@ def test_an_episodes_page_has_its_steps_and_their_pictures(site: Path) -> None:
         assert (folder / looks["camera"]).read_bytes().startswith(b"\xff\xd8\xff")
         for file in (looks["map"], q_maps["push"], q_maps["grasp"]):
             assert (folder / file).read_bytes().startswith(b"\x89PNG")
-        assert len(step["states"]["t"]) == 6
+        assert len(step["path"]["t"]) == 6
 
 
 def test_pages_load_nothing_from_elsewhere(site: Path) -> None:

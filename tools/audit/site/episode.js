@@ -62,7 +62,7 @@ function heightmap(step) {
       }
     }
     if (layers.plan) marks.append(polyline(step.plan.filter((w) => w.at).map((w) => w.at), "#ffd84d", true));
-    if (layers.path) marks.append(polyline(step.states.at, "#ff5ca8", false));
+    if (layers.path) marks.append(polyline(step.path.at, "#ff5ca8", false));
     if (layers.action) marks.append(...actionMarks(step));
   }
   return el("div", { class: "map" }, el("img", { src: source, alt: "heightmap in colour, seen from above" }), marks);
@@ -173,9 +173,9 @@ function stepView(step) {
         el("details", {}, el("summary", { class: "small faded" }, "the other Q-map"),
           shot(picture(q, step.kind === "push" ? "grasp" : "push"), `Q-map, ${step.kind === "push" ? "grasp" : "push"}`)))),
     el("div", { class: "grid charts" },
-      chart("force at the tool, N", "N", step.states.t, step.states.force, { limits: step.limits }),
-      chart("height of the tool, mm", "mm", step.states.t, step.states.height, {}),
-      chart("width between the pads, mm", "mm", step.widths.map((w) => w[0]), step.widths.map((w) => w[1]), { dots: true, until: step.states.t })),
+      chart("force at the tool, N", "N", step.path.t, step.path.force, { limits: step.limits }),
+      chart("height of the tool, mm", "mm", step.path.t, step.path.height, {}),
+      chart("width between the pads, mm", "mm", step.widths.map((w) => w[0]), step.widths.map((w) => w[1]), { dots: true, until: step.path.t })),
     el("div", { class: "grid charts" },
       card("decision", facts([
         ["action", `${step.kind} at (${x}, ${y}, ${z}) m`], ["direction", `${((step.action.yaw * 180) / Math.PI).toFixed(1)}°, rotation ${step.rotation}`],
