@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
+from policies.fingers import HALF_TURN, have_room, under_closed_fingers, under_open_fingers
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import ROTATIONS, QMaps
 from policies.primitives import PUSH_LENGTH, Grasp, Primitive, Push
@@ -55,15 +56,20 @@ def rising(heightmap: Heightmap) -> Mask:
 
 
 def graspable(heightmap: Heightmap) -> Mask:
-    """(224, 224): a grasp closes on an object that was seen; on the goal if there is one."""
-    mask = rising(heightmap)
-    return mask if heightmap.goal is None else mask & heightmap.goal
+    """(16, 224, 224): a grasp closes on an object that was seen; on the goal if there is one.
+    Both fingers come down beside it on seen ground, and low enough."""
+    objects = rising(heightmap)
+    if heightmap.goal is not None:
+        objects &= heightmap.goal
+    ground = under_open_fingers(heightmap)
+    half = objects & ground.known & have_room(heightmap.height, ground.highest)
+    return np.concatenate((half, half))
 
 
 def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
     """(16, 224, 224): a push starts on seen ground, meets something that stands higher than
     its start by RISE within `length`, and ends in the workspace."""
-    seen = heightmap.valid
+    ground = under_closed_fingers(heightmap)
     objects = np.where(rising(heightmap), heightmap.height, -np.inf).astype(np.float32)
     half_width = round(PUSH_HALF_WIDTH / PIXEL)
     swept = _widest(objects, half_width)
@@ -79,8 +85,9 @@ def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
             _take_higher(met, swept, round(-step * up), round(-step * left))
         end_row, end_col = side - reach * up, side - reach * left
         ends_inside = _in_map(end_row)[:, None] & _in_map(end_col)
-        start = np.where(seen, heightmap.height, np.inf)
-        np.logical_and(met > np.maximum(start, 0) + RISE, ends_inside, out=mask)
+        higher = met > ground.highest[rotation % HALF_TURN] + RISE
+        known = ground.known[rotation % HALF_TURN] & heightmap.valid
+        np.logical_and(higher & known, ends_inside, out=mask)
     return masks
 
 

@@ -4,7 +4,6 @@ The tool frame lies between the *closed* finger tips, z down, x the closing dire
 that open swing up: every height here is that of closed tips, the lowest they ever are.
 
 A plan is refused here only for want of knowledge, or of room; `safety.check` judges the rest.
-Landing on something is not refused: the descent stops on force, and a policy has to learn it.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from policies.fingers import FINGER_DEPTH, MAX_UNKNOWN, OPEN_WIDTH, PAD_WIDTH, have_room
 from policies.heightmap import Heightmap, Workspace
 from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy import kinematics
@@ -22,11 +22,7 @@ from tdpg_deploy.footprint import Ground, Rectangle, ground_under
 from tdpg_deploy.geometry import Array, Transform, top_down
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 
-OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
-PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
-FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
 GRASP_DEPTH = 0.04  # m below the surface that is seen (VPG, robot.py)
-MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_PUSH = 0.02  # m: less moves nothing
 TOUCH_MARGIN = 0.02  # m over what was seen: depth, calibration and table_z err by less together
 LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough close to the base
@@ -35,8 +31,8 @@ LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough clos
 def plan_primitive(primitive: Primitive, heightmap: Heightmap, config: CellConfig) -> Plan:
     """Steps that carry out `primitive` (base frame) from home and back.
 
-    Raises PlanRefused when the ground under a finger is unknown, the tool cannot get above
-    the spot, or no room is left for a push.
+    Raises PlanRefused when the ground under a finger is unknown or hardly lower than what it is to
+    grasp, the tool cannot get above the spot, or no room is left for a push.
     """
     if not np.isfinite([primitive.x, primitive.y, primitive.z, primitive.yaw]).all():
         raise PlanRefused(f"{primitive} is not finite: no surface was seen there")
@@ -52,8 +48,13 @@ def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
         ground = ground_under(heightmap, finger, clear_margin=limits.workspace_margin)
         _require_known(ground, finger)
         surface = _highest(surface, ground)
+    if not have_room(grasp.z - table_z, surface):
+        raise PlanRefused(
+            f"a finger would come down on something {surface:.3f} m high, beside a surface of "
+            f"{grasp.z - table_z:.3f} m: too little to grasp"
+        )
 
-    z = max(grasp.z - GRASP_DEPTH, table_z + limits.table_clearance)
+    z = max(grasp.z - GRASP_DEPTH, table_z + surface + limits.table_clearance)
     q_above, yaw = _above(grasp.x, grasp.y, grasp.yaw, config)
     at_bin = top_down(*config.bin.position, yaw)
     return Plan(

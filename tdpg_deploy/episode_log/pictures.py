@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from policies.fingers import OPEN_WIDTH
 from policies.heightmap import PIXEL, Heightmap, Workspace
 from policies.policy import Decision
 from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.channels import Q_GRASP, Q_PUSH
-from tdpg_deploy.motion import OPEN_WIDTH
 
 Picture = npt.NDArray[np.uint8]
 

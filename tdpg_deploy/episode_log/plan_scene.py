@@ -15,11 +15,11 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 
+from policies.fingers import OPEN_WIDTH
 from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.channels import BASE
 from tdpg_deploy.episode_log.messages import timestamp, vector
 from tdpg_deploy.geometry import Array, Transform
-from tdpg_deploy.motion import OPEN_WIDTH
 from tdpg_deploy.plan import MoveLinear, Plan
 
 PUSH_COLOR = Color(r=0.95, g=0.45, b=0.10, a=1)

@@ -61,8 +61,26 @@ def test_a_grasp_is_allowed_on_the_goal_only() -> None:
     goal[50:60, 50:60] = True
     heightmap = table_with(BLOCK, (50, 50, 10, 10, 0.03), goal=goal)
     mask = graspable(heightmap)
-    assert mask[55, 55]
-    assert not mask[110, 110]
+    assert mask[:, 55, 55].all()
+    assert not mask[:, 110, 110].any()
+
+
+def test_a_grasp_needs_room_for_both_fingers() -> None:
+    wall = (100, 122, 20, 60, 0.05)  # a finger's width away, to the right
+    mask = graspable(table_with(BLOCK, wall))
+    across, along = 4, 0  # closing direction: left and right; up and down
+    assert not mask[[across, across + 8], 110, 110].any()
+    assert mask[[along, along + 8], 110, 110].all()
+    assert not graspable(table_with(BLOCK, (*wall[:4], 0.04)))[across, 110, 110]
+    assert graspable(table_with(BLOCK, (*wall[:4], 0.029)))[across, 110, 110]
+
+
+def test_a_grasp_needs_seen_ground_for_both_fingers() -> None:
+    heightmap = table_with(BLOCK)
+    heightmap.height[:, 125:160] = np.nan
+    mask = graspable(heightmap)
+    assert not mask[4, 110, 110]
+    assert mask[0, 110, 110]
 
 
 def test_a_push_starts_beside_the_block_and_runs_into_it() -> None:

@@ -86,7 +86,7 @@ def test_a_descent_is_slow_from_above_what_is_seen_under_the_fingers() -> None:
     seen.height[row - 5 : row + 5, col - 5 : col + 5] = 0.05  # between the fingers
     for ground in (0.0, 0.03):
         row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[1].x, 0.0)
-        seen.height[row, col] = ground
+        seen.height[row - 2 : row + 2, col - 2 : col + 2] = ground
         plan = plan_primitive(grasp, seen, CONFIG)
         check(plan, CONFIG)
         lower, descend = linear(plan, "lower"), linear(plan, "descend")
@@ -184,6 +184,25 @@ def test_a_stray_lost_pixel_does_not_forbid_a_grasp() -> None:
     row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[0].x, 0.0)
     seen.height[row, col] = np.nan
     plan_primitive(grasp, seen, CONFIG)
+
+
+def test_a_grasp_is_refused_where_a_finger_would_land_on_a_neighbour() -> None:
+    seen = table()
+    grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
+    row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[0].x, 0.0)
+    seen.height[row - 5 : row + 6, col - 6 : col + 7] = 0.04
+    with pytest.raises(PlanRefused, match=r"something 0\.040 m high, beside a surface of 0\.050 m"):
+        plan_primitive(grasp, seen, CONFIG)
+
+
+def test_a_grasp_stays_above_a_lower_neighbour() -> None:
+    seen = table()
+    grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.06, yaw=0.0)
+    row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[1].x, 0.0)
+    seen.height[row - 5 : row + 6, col - 6 : col + 7] = 0.03
+    descend = linear(plan_primitive(grasp, seen, CONFIG), "descend")
+    tips = TABLE_Z + 0.03 + CONFIG.limits.table_clearance
+    assert descend.X_base_tool.translation[2] == pytest.approx(tips)
 
 
 def test_an_unknown_surface_is_refused() -> None:

@@ -1,0 +1,116 @@
+"""Where the fingers of a 2F-85 come down, and what is known of the ground there, for all actions
+at once. The plan of the one that is chosen is checked again, exactly, by whoever moves the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+
+from policies.heightmap import PIXEL, SIZE, Heightmap
+from policies.policy import ROTATIONS
+
+OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
+PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
+FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
+MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
+MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...
+FLAT = 0.01  # m ... or less, where they come down no higher than this above the table
+
+HALF_TURN = ROTATIONS // 2
+Map = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ground:
+    """Under a footprint at each pixel, for eight rotations: the other half repeats them.
+
+    highest: (8, 224, 224) metres above the table of what was seen; 0 where nothing was.
+    known: (8, 224, 224) whether enough of it was seen.
+    """
+
+    highest: Map
+    known: npt.NDArray[np.bool_]
+
+
+def under_open_fingers(heightmap: Heightmap) -> Ground:
+    """Where both fingers of a grasp at each pixel come down: the higher of both places."""
+    return _under(heightmap, along=FINGER_DEPTH, across=PAD_WIDTH, apart=OPEN_WIDTH + FINGER_DEPTH)
+
+
+def have_room(surface: npt.ArrayLike, ground: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Whether fingers reach deep enough below a surface that they are to grasp before they come
+    down on the ground beside it. Metres above the table; broadcast."""
+    deep_enough = np.asarray(surface) - np.float32(MIN_GRASP_DEPTH)
+    return np.asarray(ground) <= np.maximum(deep_enough, np.float32(FLAT))
+
+
+def under_closed_fingers(heightmap: Heightmap) -> Ground:
+    """Where a push at each pixel comes down, its two fingers side by side across the travel."""
+    return _under(heightmap, along=PAD_WIDTH, across=2 * FINGER_DEPTH, apart=0.0)
+
+
+_AROUND = 36  # pixels beyond the map that a finger can touch
+
+
+def _under(heightmap: Heightmap, *, along: float, across: float, apart: float) -> Ground:
+    """Under two rectangles whose centres lie `apart` metres from each other, in the direction of
+    the yaw. Beyond the map lies the table, as the cell's owner vouches."""
+    seen = heightmap.valid
+    smooth = cv2.medianBlur(np.where(seen, heightmap.height, np.float32(0)), 3)  # no lone specks
+    footprints, places = _footprints(along, across), _places(apart)
+    weights = torch.from_numpy(footprints[:, None].astype(np.float32))
+    weights /= weights.sum((2, 3), keepdim=True)
+    unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), _AROUND))
+    unknown = F.conv2d(unseen[None, None], weights, padding="same")[0].numpy()
+
+    smooth = np.pad(smooth, _AROUND)
+    highest = np.empty((HALF_TURN, SIZE, SIZE), np.float32)
+    known = np.empty(highest.shape, np.bool_)
+    inside = slice(_AROUND, _AROUND + SIZE)
+    for rotation, (footprint, place) in enumerate(zip(footprints, places, strict=True)):
+        at_each = cv2.dilate(smooth, footprint)
+        highest[rotation] = cv2.dilate(at_each, place)[inside, inside]
+        at_each = cv2.dilate(unknown[rotation], place)
+        known[rotation] = at_each[inside, inside] <= MAX_UNKNOWN
+    return Ground(highest=highest, known=known)
+
+
+@cache
+def _footprints(along: float, across: float) -> npt.NDArray[np.uint8]:
+    """(8, n, n) the pixels of a rectangle with these sides along and across each yaw."""
+    x, y, c, s = _around(int(np.hypot(along, across) / 2 / PIXEL))
+    u, v = c * x + s * y, c * y - s * x
+    inside: npt.NDArray[np.bool_] = np.maximum(abs(u) - along / 2, abs(v) - across / 2) <= 1e-9
+    return inside.astype(np.uint8)
+
+
+@cache
+def _places(apart: float) -> npt.NDArray[np.uint8]:
+    """(8, n, n) the two pixels that lie `apart` metres from each other, along each yaw."""
+    x, y, c, s = _around(int(apart / 2 / PIXEL) + 1)
+    squared = (abs(c * x + s * y) - apart / 2) ** 2 + (c * y - s * x) ** 2
+    # The two are as near as each other, or one and the same: rounding must not tell them apart.
+    nearest: npt.NDArray[np.bool_] = squared <= squared.min(axis=(1, 2), keepdims=True) + 1e-12
+    return nearest.astype(np.uint8)
+
+
+def _around(
+    reach: int,
+) -> tuple[
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+]:
+    """x, y of pixels (n, n) around one, in base (m); cosine and sine of each yaw (8, 1, 1)."""
+    pixels = np.arange(-reach, reach + 1) * PIXEL
+    x, y = np.meshgrid(-pixels, -pixels, indexing="ij")
+    yaw = np.arange(HALF_TURN)[:, None, None] * 2 * np.pi / ROTATIONS
+    return x, y, np.cos(yaw), np.sin(yaw)

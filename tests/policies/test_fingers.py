@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tables import WORKSPACE, table_with
+
+from policies.fingers import Ground, have_room, under_closed_fingers, under_open_fingers
+from policies.heightmap import SIZE, Heightmap
+from policies.policy import ROTATIONS
+from policies.primitives import Grasp, Push
+from tdpg_deploy.footprint import Rectangle, ground_under
+from tdpg_deploy.motion import grasp_footprints, push_footprint
+
+pixels = st.integers(0, SIZE - 1)
+rotations = st.integers(0, 7)
+
+
+def hills(seed: int) -> Heightmap:
+    """Smooth ground, some of it unseen: no two pixels side by side differ by 3 mm."""
+    rng = np.random.default_rng(seed)
+    row, col = np.mgrid[:SIZE, :SIZE]
+    height = np.zeros((SIZE, SIZE))
+    for _ in range(4):
+        at = rng.uniform(0, SIZE, 2)
+        height += 0.06 * np.exp(-((row - at[0]) ** 2 + (col - at[1]) ** 2) / (2 * 25**2))
+    height[rng.integers(SIZE) :, rng.integers(SIZE) :] = np.nan
+    return Heightmap(
+        workspace=WORKSPACE,
+        color=np.zeros((SIZE, SIZE, 3), np.uint8),
+        height=height.astype(np.float32),
+    )
+
+
+def agrees(
+    ground: Ground, seen: Heightmap, at: tuple[int, int, int], *footprints: Rectangle
+) -> None:
+    """With the footprints sampled finely, one by one, as plans are checked."""
+    exact = [ground_under(seen, footprint, clear_margin=0.1) for footprint in footprints]
+    unknown = max(ground.unknown for ground in exact)
+    if unknown < 0.05:
+        assert ground.known[at]
+        highest = max(0.0, *(ground.highest for ground in exact))
+        assert abs(ground.highest[at] - highest) < 0.006
+    elif unknown > 0.35:
+        assert not ground.known[at]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 9), rotations, pixels, pixels)
+def test_the_ground_is_that_of_the_plan(seed: int, rotation: int, row: int, col: int) -> None:
+    seen = hills(seed)
+    x, y = (float(value) for value in WORKSPACE.to_base(row, col))
+    yaw = rotation * 2 * np.pi / ROTATIONS
+    at = rotation, row, col
+    agrees(under_open_fingers(seen), seen, at, *grasp_footprints(Grasp(x=x, y=y, z=0, yaw=yaw)))
+    agrees(under_closed_fingers(seen), seen, at, push_footprint(Push(x=x, y=y, z=0, yaw=yaw)))
+
+
+def test_a_speck_is_not_ground() -> None:
+    seen = table_with()
+    seen.height[100, 100] = 0.3
+    assert under_open_fingers(seen).highest.max() == 0.0
+    assert under_closed_fingers(seen).highest.max() == 0.0
+
+
+def test_flat_things_may_be_grasped_from_the_table() -> None:
+    surface = np.array([0.012, 0.012, 0.05, 0.05, np.nan])
+    ground = np.array([0.009, 0.011, 0.029, 0.031, 0.0])
+    np.testing.assert_array_equal(have_room(surface, ground), [True, False, True, False, False])
