@@ -11,6 +11,7 @@ from typing import Any
 
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
+from policies.heightmap import Heightmap
 from tdpg_deploy.episode_log import channels, messages
 from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.entries import End, Entry, Step
@@ -128,11 +129,13 @@ def audit_log(path: Path, *, name: str) -> AuditedLog:
     except LogError as error:
         damage = str(error)
     result = results[-1] if results else None
-    level = first_level(episode)
+    seen = first_heightmap(episode)
+    level = None if seen is None else table_level(seen)
+    goal = seen is not None and seen.goal is not None
     findings = explain_episode(result, summaries, episode.about.cell, level=level, damage=damage)
     counts = result or _counted(records)
     objects = objects_of(episode.about, counts)
-    row = None if result is None else metrics_row(episode.about, result, objects)
+    row = None if result is None else metrics_row(episode.about, result, objects, goal)
     return AuditedLog(
         episode=_episode(episode, name, counts, row, objects, findings, level),
         findings=findings,
@@ -141,23 +144,25 @@ def audit_log(path: Path, *, name: str) -> AuditedLog:
     )
 
 
-def metrics_row(about: About, result: EpisodeResult, objects: int) -> EpisodeRow:
+def metrics_row(about: About, result: EpisodeResult, objects: int, goal: bool) -> EpisodeRow:
+    """objects: at the start. goal: whether one of them was to be fetched."""
     return EpisodeRow(
         scene=f"{objects} objects",
         seed=about.seed or 0,
         reason=result.reason,
-        objects=objects,
+        goal=goal,
+        objects=1 if goal else objects,
         actions=result.actions,
         grasps=result.grasps,
         grasp_successes=result.grasp_successes,
     )
 
 
-def first_level(episode: Episode) -> TableLevel | None:
-    """Of the table as the first look shows it; None if there is none or it cannot be read."""
+def first_heightmap(episode: Episode) -> Heightmap | None:
+    """Of the first look; None if there is none or it cannot be read."""
     try:
         for _, grid in episode.raw({channels.HEIGHTMAP}):
-            return table_level(messages.decode_heightmap(messages.parse(Grid, grid)))
+            return messages.decode_heightmap(messages.parse(Grid, grid))
     except LogError:
         return None
     return None

@@ -15,6 +15,7 @@ from scipy.stats import binomtest, bootstrap
 
 from tdpg_deploy.outcome import EndReason
 
+BATCH = 1_000_000  # resampled values in memory, however many episodes there are
 COMPLETED = (EndReason.CLEARED, EndReason.GOAL_REACHED)
 
 
@@ -114,6 +115,10 @@ def _mean(values: Sequence[float]) -> Estimate:
     if np.ptp(values) == 0:  # nothing to resample
         return Estimate(value=mean, low=mean, high=mean)
     interval = bootstrap(
-        (np.asarray(values),), np.mean, n_resamples=2000, rng=np.random.default_rng(0)
+        (np.asarray(values),),
+        np.mean,
+        n_resamples=2000,
+        batch=max(1, BATCH // len(values)),
+        rng=np.random.default_rng(0),
     ).confidence_interval
     return Estimate(value=mean, low=float(interval.low), high=float(interval.high))

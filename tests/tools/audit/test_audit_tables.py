@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import fields
+import tracemalloc
+from dataclasses import fields, replace
 from pathlib import Path
 
 import duckdb
 import pyarrow.parquet as pq
 import pytest
 from audited_logs import make_logs
+from synthetic_episode import ABOUT, Synthetic, write_about
 
 from tools.audit.cli import main
 from tools.audit.parquet import ACTIONS, EPISODES
-from tools.audit.rows import ActionRecord, EpisodeRecord
+from tools.audit.rows import ActionRecord, EpisodeRecord, audit_log
 from tools.audit.run import find_logs
+from tools.audit.tally import Tally
+from tools.evaluate.metrics import evaluate
 from tools.evaluate.rows import read_row
 
 
@@ -56,6 +60,30 @@ def test_the_tables_say_what_the_logs_say(logs: Path, tables: Path) -> None:
         )  # fmt: skip
     assert numbers[0][0] == "cut"
     assert numbers[1:] == [(row[0], 3, 2) for row in rows]  # yes, no, unknown
+
+
+def test_a_goal_is_the_one_object_that_counts(tmp_path: Path) -> None:
+    synthetic = Synthetic()
+    path = tmp_path / "log.mcap"
+    write_about(
+        path, synthetic.episode(2, goal=True), replace(ABOUT, scene=None), now=synthetic.now
+    )
+    row, expected = audit_log(path, name="log").row, read_row(path, scene="")
+    assert row is not None
+    assert (row.goal, row.objects) == (expected.goal, expected.objects) == (True, 1)
+
+
+def test_many_logs_take_little_memory(logs: Path) -> None:
+    log = audit_log(logs / "night 0" / "episode0.mcap", name="episode")
+    assert log.row is not None
+    tally = Tally()
+    tracemalloc.start()
+    for number in range(4_000):
+        tally.add(replace(log, row=replace(log.row, grasps=5 + number % 7)))
+    evaluate(tally.rows)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 80e6  # the 2,000 x 4,000 resamples at once would be 64 MB a time, several times
 
 
 def test_two_processes_give_the_same_tables(logs: Path, tables: Path, tmp_path: Path) -> None:
