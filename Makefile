@@ -12,7 +12,7 @@ setup: .venv/ready
 	@test -n "$(PYTHON)" || { echo "No Python found. Install Python 3.11: apt install python3.11 python3.11-venv"; exit 1; }
 	@$(PYTHON) tools/preflight.py
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt -e '.[real,audit,train,dev]'
+	$(BIN)/pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt -e '.[real,audit,eval,train,dev]'
 	@touch $@
 
 demo: setup

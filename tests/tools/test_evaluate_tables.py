@@ -10,6 +10,7 @@ from scipy.spatial import distance_matrix
 
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.errors import SceneError
+from tdpg_deploy.geometry import Array
 from tdpg_deploy.sim.links import MAX_WIDTH
 from tdpg_deploy.sim.scenes import Scene
 from tdpg_deploy.sim.world import World
@@ -19,7 +20,7 @@ CELL = load_cell(DEFAULT_CELL)
 CASES = challenge_cases()
 
 
-def centres(scene: Scene) -> np.ndarray:
+def centres(scene: Scene) -> Array:
     return np.array([item.X_base_object.translation for item in scene.objects])
 
 

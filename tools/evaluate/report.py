@@ -15,6 +15,7 @@ from policies.shipped import open_policy
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tools.evaluate.metrics import EpisodeRow, Metrics, evaluate
 from tools.evaluate.play import Trial, play_all
+from tools.evaluate.plots import write_plots
 from tools.evaluate.rows import read_row
 from tools.evaluate.tables import RandomTable, SceneTable, Table, challenge_cases
 from tools.evaluate.terminal import Key, figures_table
@@ -29,8 +30,8 @@ def evaluate_policies(args: argparse.Namespace, console: Console) -> None:
     cell = load_cell(args.config or DEFAULT_CELL)
     trials = [
         trial
-        for policy in args.policy or [None]
         for table in tables_of(args)
+        for policy in args.policy or [None]
         for trial in _trials(policy, table, cell, args)
     ]
     rows: dict[Key, list[EpisodeRow]] = {}
@@ -38,10 +39,16 @@ def evaluate_policies(args: argparse.Namespace, console: Console) -> None:
     for trial in track(done, "playing", len(trials), console=console):
         row = read_row(trial.log, scene=trial.table.name)
         for group in trial.table.groups:
-            rows.setdefault((_label(trial.policy), _titled(group, args.goal)), []).append(row)
-    metrics = {key: evaluate(group) for key, group in rows.items()}
+            rows.setdefault((_titled(group, args.goal), _label(trial.policy)), []).append(row)
+    metrics = {key: evaluate(episodes) for key, episodes in rows.items()}
     console.print(figures_table(metrics))
-    (args.out / "figures.json").write_text(as_json(metrics, rows), encoding="utf-8")
+    report = args.out / "figures.json"
+    report.write_text(as_json(metrics, rows), encoding="utf-8")
+    plots = write_plots(metrics, rows, args.out)
+    for file in (report, *plots):
+        console.print(str(file), markup=False, soft_wrap=True)
+    if not plots:
+        console.print("no plots: pip install 'tdpg-deploy[eval]'", markup=False)
 
 
 def tables_of(args: argparse.Namespace) -> list[Table]:
@@ -89,13 +96,13 @@ def as_json(metrics: Mapping[Key, Metrics], rows: Mapping[Key, Sequence[EpisodeR
     """All figures and all episodes behind them."""
     report = [
         {
+            "tables": tables,
             "policy": policy,
-            "table": tables,
             "metrics": asdict(m) | {"reasons": {r.value: n for r, n in m.reasons.items()}},
             "episodes": [
-                asdict(row) | {"reason": row.reason.value} for row in rows[policy, tables]
+                asdict(row) | {"reason": row.reason.value} for row in rows[tables, policy]
             ],
         }
-        for (policy, tables), m in metrics.items()
+        for (tables, policy), m in metrics.items()
     ]
     return json.dumps(report, indent=2) + "\n"
