@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration import arm_shape
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.errors import PlanRefused
@@ -24,10 +25,14 @@ class Approach:
         self._arm = arm
         self._home = np.array(config.arm.home)
 
+    def reach_by_hand(self, X_base_tool: Transform) -> Array | None:
+        """Joints (6,) rad in which the arm can stand, or None."""
+        branches = kinematics.inverse(X_base_tool, self._config.arm.X_flange_tool.transform())
+        return kinematics.nearest(branches, self._home, self._config.limits.joint_range)
+
     def reach(self, X_base_tool: Transform) -> Array | None:
         """Joints (6,) rad that `check` lets the arm go to from home and back, or None."""
-        branches = kinematics.inverse(X_base_tool, self._config.arm.X_flange_tool.transform())
-        q = kinematics.nearest(branches, self._home, self._config.limits.joint_range)
+        q = self.reach_by_hand(X_base_tool)
         if q is None:
             return None
         try:
@@ -35,6 +40,10 @@ class Approach:
         except PlanRefused:
             return None
         return q
+
+    def hides(self, q: Array, eye: Array, points: Array) -> bool:
+        """Whether the arm at q stands between the eye (3,) and points (n, 3) in base."""
+        return arm_shape.hides(q, self._config.arm.X_flange_tool.transform(), eye, points)
 
     def go(self, q: Array) -> None:
         """Home, then to q. Raises PlanRefused before anything moves."""

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from calibration.board_arguments import add_board
+
 EPILOG = """
 exit codes:
   0    done
@@ -29,27 +31,17 @@ def parser() -> argparse.ArgumentParser:
     board = commands.add_parser("board", help="write the board to print, PDF or PNG")
     board.add_argument("file", type=Path)
     board.add_argument("--dpi", type=int, default=600, help="of a PNG (default: 600)")
-    _add_board(board)
+    add_board(board)
 
-    collect = commands.add_parser(
-        "collect", help="let the arm show a held board to the fixed camera, and record views"
+    check = commands.add_parser("check-board", help="is the printed board flat, and of its size?")
+    check.add_argument("photo", type=Path, help="the whole board, tilted by some 30 degrees")
+    check.add_argument("--lens", type=Path, required=True, metavar="FILE", help="as for solve")
+    check.add_argument(
+        "--measured", type=float, metavar="M", help="length of a whole row of squares, by a ruler"
     )
-    collect.add_argument(
-        "--config", type=Path, metavar="FILE", help="cell file; its camera pose is the first guess"
-    )
-    collect.add_argument("--record", type=Path, default=Path("calibration.mcap"), metavar="FILE")
-    collect.add_argument(
-        "--board-pose",
-        type=float,
-        nargs=6,
-        required=True,
-        metavar=("X", "Y", "Z", "RX", "RY", "RZ"),
-        help="first guess of the board in the tool; m, rad",
-    )
-    collect.add_argument("--goal", type=float, default=1e-4, metavar="M", help="predicted error")
-    collect.add_argument("--seed", type=int, default=0, metavar="N")
-    collect.add_argument("--real", action="store_true", help="move the real arm")
-    _add_board(collect)
+    add_board(check)
+
+    _add_collect(commands.add_parser("collect", help="record views, by the arm or by hand"))
 
     solve = commands.add_parser("solve", help="solve from pictures and poses in files")
     solve.add_argument("--record", type=Path, metavar="FILE", help="an MCAP of `collect`, instead")
@@ -61,11 +53,20 @@ def parser() -> argparse.ArgumentParser:
         help="CSV: image,x,y,z,rx,ry,rz (rotation vector) or image,x,y,z,qx,qy,qz,qw; m, rad",
     )
     solve.add_argument("--lens", type=Path, metavar="FILE", help="YAML: fx, fy, cx, cy, ...")
-    solve.add_argument("--mounting", choices=["eye-to-hand", "eye-in-hand"], default="eye-to-hand")
+    _add_mounting(solve)
     solve.add_argument("--serial", default="unknown", help="of the camera")
+    solve.add_argument("--arm-serial", metavar="SERIAL", help="kept in the file")
+    solve.add_argument(
+        "--table", type=Path, metavar="FILE", help="a picture of the table with its tags"
+    )
     solve.add_argument("--out", type=Path, default=Path("calibration.yaml"), metavar="FILE")
     solve.add_argument("--report", type=Path, default=Path("calibration.html"), metavar="FILE")
-    _add_board(solve)
+    add_board(solve, "the board (a record says itself which)")
+
+    touch = commands.add_parser("touch", help="come down on 5 to 9 things that the camera sees")
+    touch.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock)")
+    touch.add_argument("--real", action="store_true", help="move the real arm; asks first")
+    touch.add_argument("--scene", type=Path, metavar="FILE", help="what lies on the mock's table")
 
     verify = commands.add_parser("verify", help="read a calibration file and say if it applies")
     verify.add_argument("file", type=Path)
@@ -84,14 +85,28 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def _add_board(p: argparse.ArgumentParser) -> None:
-    group = p.add_argument_group("the board")
-    group.add_argument("--columns", type=int, default=9, help="squares along a row")
-    group.add_argument("--rows", type=int, default=6)
-    group.add_argument("--square", type=float, default=0.028, metavar="M", help="metres")
-    group.add_argument("--marker", type=float, default=0.021, metavar="M", help="metres")
-    group.add_argument("--dictionary", default="DICT_5X5_100")
-    group.add_argument("--legacy", action="store_true", help="printed before OpenCV 4.6")
+def _add_collect(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock cell)")
+    p.add_argument("--record", type=Path, default=Path("calibration.mcap"), metavar="FILE")
+    _add_mounting(p)
+    guesses = {
+        "--board-pose": "first guess: the held board in the tool; with eye-in-hand, the board on "
+        "the table in base; m, rad",
+        "--camera-pose": "first guess: the camera in base, or in the tool (default: the cell "
+        "file's, in base)",
+    }
+    for name, meaning in guesses.items():
+        axes = ("X", "Y", "Z", "RX", "RY", "RZ")
+        p.add_argument(name, type=float, nargs=6, metavar=axes, help=meaning)
+    p.add_argument("--goal", type=float, default=1e-4, metavar="M", help="predicted error")
+    p.add_argument("--by-hand", action="store_true", help="you move the arm, and say when to look")
+    p.add_argument("--seed", type=int, default=0, metavar="N")
+    p.add_argument("--real", action="store_true", help="the real cell")
+    add_board(p)
+
+
+def _add_mounting(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--mounting", choices=["eye-to-hand", "eye-in-hand"], default="eye-to-hand")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -17,6 +17,7 @@ from tdpg_deploy.hal import Intrinsics
 
 LEAST_CORNERS = 8
 LEAST_SHARE = 0.3  # of the board's corners
+LEAST_MARKER = 14.0  # px; smaller ones are misread
 WIDEST_EDGE = 5.0  # px from black to white; a sharp D435 picture has 2 to 3
 DARKEST_WHITE, LEAST_CONTRAST = 70, 40  # of 255
 FOREIGN = (
@@ -32,7 +33,7 @@ FOREIGN = (
 class Detection:
     """ids: (n,) of inner corners. corners: (n, 2) px, pixel centres integer.
 
-    problems: why the picture should not be used, each beginning with blurred, dark, partial,
+    problems: why the picture should not be used, each beginning with blurred, dark, far, partial,
     wrong board or no board; empty when it is good.
     """
 
@@ -58,6 +59,12 @@ def detect(picture: npt.NDArray[np.uint8], target: CharucoTarget) -> Detection:
         return _nothing(_why_nothing(grey, target))
     seen_ids = np.asarray(marker_ids, np.int64).reshape(-1)
     pixels = np.asarray(marker_corners, np.float64).reshape(-1, 4, 2)
+    across = float(np.median(np.linalg.norm(np.diff(pixels, axis=1), axis=2)))
+    if across < LEAST_MARKER:
+        return _nothing(
+            f"far: markers are {across:.0f} px across, {LEAST_MARKER:.0f} are needed to read them; "
+            "bring the board nearer"
+        )
     foreign = seen_ids[seen_ids >= len(target.white_squares())]
     if len(foreign):
         return _nothing(

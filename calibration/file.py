@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import datetime
 
 from calibration.depth import DepthQuality
 from calibration.solve import HandEye
+from calibration.table import TablePlane
 from calibration.target import CharucoTarget
 from tdpg_deploy.calibration_file import (
     BoardSection,
@@ -14,8 +17,10 @@ from tdpg_deploy.calibration_file import (
     DepthSection,
     PoseSection,
     QualitySection,
+    TableSection,
 )
 from tdpg_deploy.depth_model import DepthModel
+from tdpg_deploy.geometry import Array
 
 
 def make_calibration(
@@ -25,6 +30,8 @@ def make_calibration(
     serial: str,
     date: datetime,
     depth: tuple[DepthModel, DepthQuality] | None = None,
+    table: TablePlane | None = None,
+    tags: Mapping[int, Array] | None = None,
     arm_serial: str | None = None,
     record_sha256: str | None = None,
 ) -> Calibration:
@@ -49,12 +56,7 @@ def make_calibration(
         pose=PoseSection.of(found.X_parent_camera),
         covariance=tuple(tuple(float(value) for value in row) for row in found.covariance),
         board=BoardSection(
-            columns=target.columns,
-            rows=target.rows,
-            square=target.square,
-            marker=target.marker,
-            dictionary=target.dictionary,
-            legacy=target.legacy,
+            **asdict(target),
             scale=found.board_scale,
             pose=PoseSection.of(found.X_parent_board),
         ),
@@ -68,15 +70,8 @@ def make_calibration(
             arm_noise_position=found.pose_noise.translation,
             arm_noise_rotation=found.pose_noise.rotation,
         ),
-        depth=None
-        if depth is None
-        else DepthSection(
-            a=depth[0].a,
-            b=depth[0].b,
-            offset=depth[1].offset,
-            rms=depth[1].rms,
-            fill=depth[1].fill,
-            left=depth[1].left,
-        ),
+        depth=None if depth is None else DepthSection(**asdict(depth[0]), **asdict(depth[1])),
+        table=None if table is None else TableSection(**asdict(table)),
         record_sha256=record_sha256,
+        tags={number: corners.tolist() for number, corners in (tags or {}).items()},
     )

@@ -43,25 +43,18 @@ def paint_board(
     x0, y0, x1, y1 = box
     fine_u = (np.arange((x1 - x0) * SAMPLES) + 0.5) / SAMPLES - 0.5 + x0
     fine_v = (np.arange((y1 - y0) * SAMPLES) + 0.5) / SAMPLES - 0.5 + y0
-    u, v = np.meshgrid(fine_u, fine_v)
-    p_board, z = _hit(u, v, X_camera_board, lens)
+    x, y, z = _hit(fine_u, fine_v, X_camera_board, lens)
     texture, per_metre = _texture(target)
     border = BORDER * target.square
     grey = cv2.remap(
         texture,
-        ((p_board[..., 0] + border) * per_metre - 0.5).astype(np.float32),
-        ((p_board[..., 1] + border) * per_metre - 0.5).astype(np.float32),
+        ((x + border) * per_metre - 0.5).astype(np.float32),
+        ((y + border) * per_metre - 0.5).astype(np.float32),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     ).astype(np.float32)
     width, height = target.size
-    on = (
-        (p_board[..., 0] > -border)
-        & (p_board[..., 0] < width + border)
-        & (p_board[..., 1] > -border)
-        & (p_board[..., 1] < height + border)
-        & (z > 0)
-    )
+    on = (x > -border) & (x < width + border) & (y > -border) & (y < height + border) & (z > 0)
     if depth is not None:
         behind = depth[y0:y1, x0:x1].repeat(SAMPLES, axis=0).repeat(SAMPLES, axis=1)
         on &= ~(behind < z - 1e-3)
@@ -77,21 +70,24 @@ def paint_board(
     return painted
 
 
-def _hit(u: Array, v: Array, X_camera_board: Transform, lens: Intrinsics) -> tuple[Array, Array]:
-    """Where the rays of pixels meet the board's plane: (..., 2) in its frame, depth (...)."""
+def _hit(
+    u: Array, v: Array, X_camera_board: Transform, lens: Intrinsics
+) -> tuple[Array, Array, Array]:
+    """Where the rays of pixel columns u (w,) and rows v (h,) meet the board's plane: x, y in its
+    frame and depth, each (h, w)."""
     if any(lens.distortion):
-        flat = np.stack([u.ravel(), v.ravel()], axis=1)[:, None]
+        flat = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
         ideal = cv2.undistortPoints(flat, lens.as_matrix(), np.array(lens.distortion))
-        x, y = ideal[:, 0, 0].reshape(u.shape), ideal[:, 0, 1].reshape(u.shape)
+        ray_x, ray_y = ideal.reshape(len(v), len(u), 2).transpose(2, 0, 1)
     else:
-        x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
-    ray = np.stack([x, y, np.ones_like(x)], axis=-1)
+        ray_x, ray_y = (u[None] - lens.cx) / lens.fx, (v[:, None] - lens.cy) / lens.fy
     X_board_camera = X_camera_board.inverse()
-    direction = X_board_camera.rotation.apply(ray.reshape(-1, 3)).reshape(ray.shape)
     origin = X_board_camera.translation
-    with np.errstate(divide="ignore"):
-        z = -origin[2] / direction[..., 2]
-    return origin[:2] + z[..., None] * direction[..., :2], z
+    R = X_board_camera.rotation.as_matrix()
+    across, down, into = (R[k, 0] * ray_x + R[k, 1] * ray_y + R[k, 2] for k in range(3))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = -origin[2] / into
+        return origin[0] + z * across, origin[1] + z * down, z
 
 
 def _texture(target: CharucoTarget) -> tuple[npt.NDArray[np.uint8], float]:

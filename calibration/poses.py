@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -14,10 +15,13 @@ from calibration.refine import Noise, view_information
 from calibration.views import Mounting, PoseNoise, View
 from tdpg_deploy.geometry import Array, Transform
 
-# Joints (6,) for X_base_tool that the arm may be sent to from home, or None.
+# Joints (6,) for X_base_tool that the arm may be sent to, or None.
 Reach: TypeAlias = Callable[[Transform], Array | None]
+# Whether the arm at joints (6,) stands between an eye (3,) and points (n, 3), all in base.
+Hides: TypeAlias = Callable[[Array, Array, Array], bool]
 
-DEPTHS = (0.35, 0.95)  # m, where a board of A4 is sharp and large enough
+DEPTHS = (0.35, 0.95)  # m, where a D435 is sharp and measures depth
+LEAST_SQUARE = 28.0  # px across, so that the cells of its marker are 3 px
 TILT, SPIN = np.deg2rad(35), np.deg2rad(50)
 CLEARANCE = 0.06  # m between the held board and the table
 EDGE = 20.0  # px that the whole board stays inside the picture
@@ -27,10 +31,11 @@ EXPECTED_NOISE = 0.1  # px; what D435 pictures of a still board show, with a mar
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """q: (6,) rad, as `reach` gave them."""
+    """q: (6,) rad, as `reach` gave them. X_camera_board: where the board should then be seen."""
 
     q: Array
     X_base_tool: Transform
+    X_camera_board: Transform
 
 
 def candidates(
@@ -38,47 +43,68 @@ def candidates(
     mounting: Mounting,
     board_corners: Array,
     reach: Reach,
+    hides: Hides,
     table_z: float,
     rng: np.random.Generator,
-    count: int = 80,
+    count: int = 60,
 ) -> list[Candidate]:
     """Reachable poses, drawn at random, that show the whole board where `guess` is right.
 
     table_z: metres in base; a held board stays clear of it.
     """
     found: list[Candidate] = []
-    for _ in range(60 * count):
+    for X_camera_board in _draw(guess, board_corners, rng, 60 * count):
         if len(found) == count:
             break
-        X_camera_board = _draw(guess, board_corners, rng)
-        if X_camera_board is None:
-            continue
         X_parents = guess.X_parent_camera @ X_camera_board @ guess.X_parent_board.inverse()
-        held = mounting is Mounting.EYE_TO_HAND
-        X_base_tool = X_parents if held else X_parents.inverse()
-        if held:
-            heights = (X_base_tool @ (guess.X_parent_board @ board_corners))[:, 2]
-            if heights.min() < table_z + CLEARANCE:
+        if mounting is Mounting.EYE_IN_HAND:
+            X_base_tool = X_parents.inverse()
+            q = reach(X_base_tool)
+            if q is None:
                 continue
-        q = reach(X_base_tool)
-        if q is not None:
-            found.append(Candidate(q=q, X_base_tool=X_base_tool))
+        else:
+            X_base_tool = X_parents
+            p_base = X_base_tool @ (guess.X_parent_board @ board_corners)
+            if p_base[:, 2].min() < table_z + CLEARANCE:
+                continue
+            q = reach(X_base_tool)
+            if q is None or hides(q, guess.X_parent_camera.translation, p_base):
+                continue
+        found.append(Candidate(q=q, X_base_tool=X_base_tool, X_camera_board=X_camera_board))
     return found
 
 
-def _draw(guess: Estimate, board_corners: Array, rng: np.random.Generator) -> Transform | None:
-    """X_camera_board somewhere in the frustum, or None if the board is cut off."""
+def _draw(
+    guess: Estimate, board_corners: Array, rng: np.random.Generator, tries: int
+) -> Iterator[Transform]:
+    """X_camera_board all over the frustum, of `tries` those that cut nothing of the board off."""
     lens = guess.intrinsics
-    direction = rng.uniform(0, 2 * np.pi)
-    lean = rng.uniform(0, TILT) * np.array([np.cos(direction), np.sin(direction), 0.0])
-    rotation = Rotation.from_rotvec(lean) * Rotation.from_euler("z", rng.uniform(-SPIN, SPIN))
-    u, v = rng.uniform(0.1, 0.9, 2) * [lens.width, lens.height]
-    ray = np.array([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, 1.0])
-    middle = rotation.apply(board_corners.mean(axis=0))
-    X_camera_board = Transform(rotation, rng.uniform(*DEPTHS) * ray - middle)
-    pixels = project(X_camera_board @ board_corners, lens)[0]
+    direction, lean = rng.uniform(0, 2 * np.pi, tries), rng.uniform(0, TILT, tries)
+    axis = np.stack([np.cos(direction), np.sin(direction), np.zeros(tries)], axis=1)
+    spin = Rotation.from_rotvec(rng.uniform(-SPIN, SPIN, tries)[:, None] * [0.0, 0.0, 1.0])
+    rotations = Rotation.from_rotvec(lean[:, None] * axis) * spin
+    u, v = rng.uniform(0.1, 0.9, (2, tries))
+    across, _ = _extent(board_corners)
+    columns = len(np.unique(board_corners[:, 0]))
+    square = float(np.ptp(across)) / (columns - 1)
+    farthest = min(DEPTHS[1], lens.fx * square / LEAST_SQUARE)
+    ray = [(u * lens.width - lens.cx) / lens.fx, (v * lens.height - lens.cy) / lens.fy]
+    middles = (
+        np.stack([*ray, np.ones(tries)], axis=1)
+        * rng.uniform(DEPTHS[0], max(DEPTHS[0], farthest), tries)[:, None]
+    )
+    translations = middles - rotations.apply(board_corners.mean(axis=0))
+    outline = np.array([[x, y, 0.0] for x, y in product(*_extent(board_corners))])
+    p_camera = np.einsum("tij,cj->tci", rotations.as_matrix(), outline) + translations[:, None]
+    pixels = project(p_camera, lens)[0]
     inside = (pixels > EDGE) & (pixels < [lens.width - EDGE, lens.height - EDGE])
-    return X_camera_board if inside.all() else None
+    for index in np.flatnonzero(inside.all(axis=(1, 2))):
+        yield Transform(rotations[index], translations[index])
+
+
+def _extent(board_corners: Array) -> Array:
+    """(2, 2) least and greatest x, and y."""
+    return np.stack([board_corners.min(axis=0), board_corners.max(axis=0)], axis=1)[:2]
 
 
 @dataclass(frozen=True, kw_only=True)

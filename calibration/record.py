@@ -1,8 +1,9 @@
 """Every view as it was taken, in one MCAP: picture, depth, joints, tool pose, times.
 
-Two channels: `/view` (JSON: everything but the pictures) closes a view; `/picture` and `/depth`
-(PNG in foxglove.CompressedImage; depth in 0.1 mm, 0 where unknown) come before it. A file cut
-short by a crash is read up to its last whole view.
+`/setup` (JSON) comes first: date, mounting, board, workspace. Then for each view `/picture` and
+`/depth` (PNG in foxglove.CompressedImage; depth in 0.1 mm, 0 where unknown), closed by `/view`
+(JSON: everything but the pictures), or by `/table` for the look at the table without the board. A
+file cut short by a crash is read up to its last whole view.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -24,6 +26,9 @@ from mcap.reader import NonSeekingReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from calibration.target import CharucoTarget
+from calibration.views import Mounting
+from tdpg_deploy.cell_config import WorkspaceSection
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import Intrinsics
@@ -50,11 +55,32 @@ class RecordedView:
     captured_at: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """What stays the same over all views."""
+
+    mounting: Mounting
+    target: CharucoTarget
+    workspace: WorkspaceSection
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Record:
+    """date: when it was begun. table: the look at the table with the arm out of sight; None until
+    it was taken."""
+
+    setup: Setup
+    date: datetime
+    views: list[RecordedView]
+    table: RecordedView | None
+
+
 class RecordWriter:
     """Each view is on disk when `add` returns. Opens its file on entry."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, setup: Setup, date: datetime) -> None:
         self._path = path
+        self._head = _head_document(setup, date)
 
     def __enter__(self) -> RecordWriter:
         try:
@@ -67,10 +93,13 @@ class RecordWriter:
         schema = self._writer.register_schema("tdpg.CalibrationView", "jsonschema", b"{}")
         image = register_schema(self._writer, CompressedImage)
         self._channels = {
+            "setup": self._writer.register_channel("/setup", "json", schema),
             "view": self._writer.register_channel("/view", "json", schema),
+            "table": self._writer.register_channel("/table", "json", schema),
             "picture": self._writer.register_channel("/picture", "protobuf", image),
             "depth": self._writer.register_channel("/depth", "protobuf", image),
         }
+        self._message("setup", self._head, 0)
         return self
 
     def __exit__(
@@ -83,6 +112,12 @@ class RecordWriter:
         self._file.close()
 
     def add(self, view: RecordedView) -> None:
+        self._add("view", view)
+
+    def add_table(self, view: RecordedView) -> None:
+        self._add("table", view)
+
+    def _add(self, channel: str, view: RecordedView) -> None:
         time = round(view.captured_at * 1e9)
         counts = np.nan_to_num(view.depth / DEPTH_UNIT, nan=0.0).clip(0, 65535).round()
         self._image("picture", np.ascontiguousarray(view.color[..., ::-1]), time)
@@ -97,7 +132,7 @@ class RecordWriter:
             "stamp": view.stamp,
             "captured_at": view.captured_at,
         }
-        self._message("view", json.dumps(document).encode(), time)
+        self._message(channel, json.dumps(document).encode(), time)
         self._file.flush()
 
     def _image(self, channel: str, picture: npt.NDArray[np.integer[Any]], time: int) -> None:
@@ -112,28 +147,62 @@ class RecordWriter:
         )
 
 
-def read_record(path: Path) -> list[RecordedView]:
+def read_record(path: Path) -> Record:
     """Raises CalibrationError."""
+    head: tuple[Setup, datetime] | None = None
+    views: list[RecordedView] = []
+    table: RecordedView | None = None
+    pictures: dict[str, bytes] = {}
     try:
-        return list(_views(path))
+        for topic, data in _messages(path):
+            if topic == "/setup":
+                head = _head(data)
+            elif topic == "/view":
+                views.append(_view(data, pictures))
+            elif topic == "/table":
+                table = _view(data, pictures)
+            else:
+                pictures[topic] = data
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read ({error.strerror})") from error
+    if head is None:
+        raise CalibrationError(f"{path}: does not say with which board it was taken; collect anew")
+    return Record(setup=head[0], date=head[1], views=views, table=table)
 
 
-def _views(path: Path) -> Iterator[RecordedView]:
-    pictures: dict[str, bytes] = {}
+def _messages(path: Path) -> Iterator[tuple[str, bytes]]:
     with path.open("rb") as file:
         if file.read(5) != b"\x89MCAP":
             raise CalibrationError(f"{path}: not an MCAP record of a calibration")
         file.seek(0)
         try:
             for _, channel, message in NonSeekingReader(file).iter_messages():
-                if channel.topic != "/view":
-                    pictures[channel.topic] = message.data
-                    continue
-                yield _view(message.data, pictures)
+                yield channel.topic, message.data
         except McapError:
             return  # cut short: what is whole has been read
+
+
+def _head_document(setup: Setup, date: datetime) -> bytes:
+    document = {
+        "date": date.isoformat(),
+        "mounting": setup.mounting.value,
+        "target": asdict(setup.target),
+        "workspace": setup.workspace.model_dump(),
+    }
+    return json.dumps(document).encode()
+
+
+def _head(data: bytes) -> tuple[Setup, datetime]:
+    try:
+        d = json.loads(data)
+        setup = Setup(
+            mounting=Mounting(d["mounting"]),
+            target=CharucoTarget(**d["target"]),
+            workspace=WorkspaceSection(**d["workspace"]),
+        )
+        return setup, datetime.fromisoformat(d["date"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(f"the head of the record is damaged: {error!r}") from error
 
 
 def _view(data: bytes, pictures: dict[str, bytes]) -> RecordedView:

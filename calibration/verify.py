@@ -115,22 +115,3 @@ def workspace_deviation(covariance: Array, X_parent_camera: Transform, points: A
     J[..., 1, 3], J[..., 1, 5] = -z, x
     J[..., 2, 3], J[..., 2, 4] = y, -x
     return np.asarray(np.sqrt(np.einsum("...ij,jk,...ik->...", J, covariance, J)))
-
-
-def table_plane(p_base: Array) -> tuple[float, float]:
-    """Height at the middle (m) and tilt (rad) of points (n, 3) seen on the table, robustly."""
-    points = p_base[np.isfinite(p_base).all(axis=1)]
-    if len(points) < 100:
-        raise CalibrationError(
-            f"{len(points)} points of the table are seen, 100 are needed: clear it, check depth"
-        )
-    middle = np.median(points[:, :2], axis=0)
-    kept = np.ones(len(points), bool)
-    design = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
-    plane = np.zeros(3)
-    for _ in range(5):
-        plane = np.linalg.lstsq(design[kept], points[kept, 2], rcond=None)[0]
-        off = points[:, 2] - design @ plane
-        spread = 1.48 * float(np.median(np.abs(off[kept] - np.median(off[kept]))))
-        kept = np.abs(off) < max(3 * spread, 1e-4)
-    return float(plane[0]), float(np.arctan(np.hypot(plane[1], plane[2])))

@@ -111,6 +111,14 @@ class DepthSection(_Section):
         return DepthModel(a=self.a, b=self.b)
 
 
+class TableSection(_Section):
+    """height: of the table in base at the workspace's middle. tilt: from horizontal. rms: m."""
+
+    height: Finite
+    tilt: Finite
+    rms: Finite
+
+
 class Calibration(_Section):
     """A whole calibration file.
 
@@ -133,6 +141,7 @@ class Calibration(_Section):
     board: BoardSection
     quality: QualitySection
     depth: DepthSection | None = None
+    table: TableSection | None = None
     record_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
     tags: dict[int, tuple[Corner, Corner, Corner, Corner]] = {}
 

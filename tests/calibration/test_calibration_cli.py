@@ -60,7 +60,7 @@ def test_pictures_become_a_calibration_and_a_page(
     assert error < 0.2e-3
     assert error < 4 * calibration.quality.position_sd
     html = page.read_text()
-    assert html.count("<svg") == 3
+    assert html.count("<svg") == 4  # coverage, residuals, workspace, views
     assert "data:image/png;base64," in html
     assert 'src="http' not in html
     assert main(["verify", str(out), "--serial", "other"]) == 1

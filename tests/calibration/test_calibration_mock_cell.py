@@ -1,4 +1,4 @@
-"""The mock cell calibrated through rendered pictures: collect, interrupt, resume, solve."""
+"""The mock cell calibrated through rendered pictures: by its arm, by hand, both mountings."""
 
 from __future__ import annotations
 
@@ -6,156 +6,187 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from board_in_cell import (
+    TARGET,
+    X_BASE_BOARD,
+    X_TOOL_BOARD,
+    X_TOOL_CAMERA,
+    BoardCell,
+    moved,
+    with_true_camera,
+    workspace_grid,
+)
 
 from calibration.approach import Approach
 from calibration.cli import main
-from calibration.collect import Plan, Progress, collect, view_of
-from calibration.pictures import paint_board
+from calibration.collect import collect, collect_by_hand
+from calibration.collection import Plan, Progress, view_of
+from calibration.command_collect import workspace_points
 from calibration.projection import Estimate
-from calibration.record import read_record
+from calibration.record import Setup, read_record
 from calibration.solve import solve
-from calibration.target import CharucoTarget
 from calibration.views import Mounting
 from tdpg_deploy.calibration_file import load_calibration
 from tdpg_deploy.cell import Cell, open_cell
-from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, Pose, load_cell
-from tdpg_deploy.geometry import Array, Transform
-from tdpg_deploy.hal import Arm, Camera, Clock, Intrinsics, RgbdFrame
+from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.errors import CalibrationError
+from tdpg_deploy.geometry import Transform
 
-TARGET = CharucoTarget(columns=7, rows=5, square=0.024, marker=0.018)
-# Held by an edge before the fingers, its face against the tool's axis.
-X_TOOL_BOARD = Transform(
-    Rotation.from_euler("z", -92, degrees=True), np.array([0.04, 0.084, -0.005])
-)
+MOCK = load_cell(DEFAULT_CELL)
+X_TRUE = moved(MOCK.X_base_camera, 0.015, 1.0)  # from where the cell file has the camera
+CONFIG = with_true_camera(MOCK, X_TRUE)
+SMALL = CONFIG.model_copy(update={"camera": CONFIG.camera.model_copy(update={"width": 640})})
 
 
 class Interrupted(Exception):
     pass
 
 
-class BoardCamera:
-    """The simulated camera, with the board painted where the tool holds it."""
-
-    def __init__(self, camera: Camera, arm: Arm, X_base_camera: Transform) -> None:
-        self._camera, self._arm, self._X_base_camera = camera, arm, X_base_camera
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        return self._camera.intrinsics
-
-    def connect(self) -> None:
-        self._camera.connect()
-
-    def close(self) -> None:
-        self._camera.close()
-
-    def capture(self, *, deadline: float = 2.0) -> RgbdFrame:
-        frame = self._camera.capture(deadline=deadline)
-        X_camera_board = (
-            self._X_base_camera.inverse() @ self._arm.state().X_base_tool @ X_TOOL_BOARD
-        )
-        depth = frame.depth.copy()
-        color = paint_board(frame.color, TARGET, X_camera_board, frame.intrinsics, depth)
-        return replace(frame, color=color, depth=depth)
+def held_board(cell: Cell) -> BoardCell:
+    return BoardCell(cell.camera, cell.arm, cell.clock, Mounting.EYE_TO_HAND, X_TRUE)
 
 
-class HeldBoard:
-    """A cell whose camera sees the board."""
-
-    def __init__(self, cell: Cell, X_base_camera: Transform) -> None:
-        self.arm: Arm = cell.arm
-        self.clock: Clock = cell.clock
-        self.camera: Camera = BoardCamera(cell.camera, cell.arm, X_base_camera)
-
-
-def pose_section(X: Transform) -> Pose:
-    x, y, z = (float(v) for v in X.translation)
-    qx, qy, qz, qw = (float(v) for v in X.as_quaternion())
-    return Pose(position=(x, y, z), quaternion=(qx, qy, qz, qw))
-
-
-def moved(X: Transform, metres: float, degrees: float) -> Transform:
-    turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, -0.64, 0.48]))
-    return X @ Transform(turn, metres * np.array([0.6, -0.64, 0.48]))
-
-
-@pytest.fixture
-def config() -> CellConfig:
-    """The mock cell with its camera 15 mm and 1 degree from where the cell file has it."""
-    base = load_cell(DEFAULT_CELL)
-    true = moved(base.X_base_camera, 0.015, 1.0)
-    simulation = base.simulation.model_copy(
-        update={"X_base_camera": pose_section(true), "depth_noise": False}
+def plan_for(
+    config: CellConfig, mounting: Mounting, cell: Cell, camera: Transform, board: Transform
+) -> Plan:
+    lens = cell.camera.intrinsics
+    return Plan(
+        setup=Setup(mounting=mounting, target=TARGET, workspace=config.workspace),
+        guess=Estimate(X_parent_camera=camera, X_parent_board=board, intrinsics=lens),
+        p_workspace=workspace_points(config, mounting, camera, lens),
     )
-    return base.model_copy(update={"simulation": simulation})
 
 
-def workspace(config: CellConfig) -> Array:
-    x, y = config.workspace.center
-    side = np.linspace(-0.22, 0.22, 5)
-    grid = np.stack(np.meshgrid(x + side, y + side), axis=-1).reshape(-1, 2)
-    heights = [config.workspace.table_z, config.workspace.table_z + 0.1]
-    return np.array([[a, b, z] for a, b in grid for z in heights])
+def held_board_plan(cell: Cell) -> Plan:
+    board = moved(X_TOOL_BOARD, 0.01, 2.0)
+    return plan_for(CONFIG, Mounting.EYE_TO_HAND, cell, CONFIG.X_base_camera, board)
 
 
 @pytest.mark.slow
-def test_the_tool_lands_where_the_camera_saw_the_point(config: CellConfig, tmp_path: Path) -> None:
-    assert config.simulation.X_base_camera is not None
-    X_true = config.simulation.X_base_camera.transform()
+def test_the_tool_lands_where_the_camera_saw_the_point(tmp_path: Path) -> None:
     path = tmp_path / "views.mcap"
-    corners = TARGET.corners()
     progress: list[Progress] = []
 
-    with open_cell(config) as cell:
-        plan = Plan(
-            mounting=Mounting.EYE_TO_HAND,
-            target=TARGET,
-            guess=Estimate(
-                X_parent_camera=config.X_base_camera,
-                X_parent_board=moved(X_TOOL_BOARD, 0.01, 2.0),
-                intrinsics=cell.camera.intrinsics,
-            ),
-            p_workspace=workspace(config),
-            table_z=config.workspace.table_z,
-        )
-        held = HeldBoard(cell, X_true)
-        approach = Approach(config, cell.arm)
+    def interrupt(now: Progress) -> None:
+        if len(now.views) == 4:
+            raise Interrupted
 
-        def interrupt(now: Progress) -> None:
-            if now.views == 4:
-                raise Interrupted
-
+    with open_cell(CONFIG) as cell:
+        plan, devices = held_board_plan(cell), held_board(cell)
+        approach = Approach(CONFIG, cell.arm)
         with pytest.raises(Interrupted):
-            collect(held, approach, plan, path, np.random.default_rng(0), interrupt)
+            collect(devices, approach, plan, path, np.random.default_rng(0), interrupt)
         earlier = read_record(path)
-        assert earlier
-        taken = collect(held, approach, plan, path, np.random.default_rng(1), progress.append)
-        assert cell.arm.state().q == pytest.approx(np.array(config.arm.home), abs=1e-3)
+        other = replace(plan, setup=replace(plan.setup, target=replace(TARGET, columns=8)))
+        with pytest.raises(CalibrationError, match="begun with another board"):
+            collect(devices, approach, other, path, np.random.default_rng(0), interrupt)
+        collect(devices, approach, plan, path, np.random.default_rng(1), progress.append)
+        assert cell.arm.state().q == pytest.approx(np.array(CONFIG.arm.home), abs=1e-3)
 
     record = read_record(path)
-    assert [view.name for view in record] == [view.name for view in taken]
-    assert record[0].stamp == earlier[0].stamp  # resumed, not repeated
+    kept = record.views[: len(earlier.views)]
+    assert len(kept) >= 4
+    assert [v.stamp for v in kept] == [v.stamp for v in earlier.views]  # resumed, not repeated
+    assert record.date == earlier.date
+    assert record.table is not None
     assert progress[-1].deviation <= plan.goal
-    assert 10 <= progress[-1].views <= 16
+    assert 10 <= len(progress[-1].views) <= 16
+    assert progress[-1].coverage.share[:2].min() > 0.9  # across and down the picture
 
-    views = [view for r in record if (view := view_of(r, TARGET)[0]) is not None]
-    found = solve(views, corners, record[0].intrinsics, Mounting.EYE_TO_HAND)
-    p_base = workspace(config)
-    landed = found.X_base_camera @ (X_true.inverse() @ p_base)
+    views = [view for r in record.views if (view := view_of(r, TARGET)[0]) is not None]
+    found = solve(views, TARGET.corners(), record.views[0].intrinsics, Mounting.EYE_TO_HAND)
+    p_base = workspace_grid(CONFIG)
+    landed = found.X_base_camera @ (X_TRUE.inverse() @ p_base)
     assert np.linalg.norm(landed - p_base, axis=1).max() < 0.5e-3
 
-    board = ["--columns", "7", "--rows", "5", "--square", "0.024", "--marker", "0.018"]
-    out = tmp_path / "calibration.yaml"
-    page = tmp_path / "calibration.html"
+    out, page = tmp_path / "calibration.yaml", tmp_path / "calibration.html"
     files = ["--record", str(path), "--out", str(out), "--report", str(page)]
-    assert main(["solve", *files, *board]) == 0
+    assert main(["solve", *files]) == 0
     calibration = load_calibration(out)
     assert calibration.record_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert calibration.camera.serial == "simulated"
+    assert calibration.date == record.date
     assert calibration.depth is not None
     assert abs(calibration.depth.left) < 0.1e-3
-    distance, angle = calibration.pose.transform().distance(found.X_base_camera)
-    assert max(distance, angle) < 1e-9
+    assert calibration.table is not None
+    assert calibration.table.height == pytest.approx(CONFIG.workspace.table_z, abs=0.3e-3)
+    assert calibration.table.tilt < np.deg2rad(0.05)
+    assert max(calibration.pose.transform().distance(found.X_base_camera)) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_camera_on_the_tool(tmp_path: Path) -> None:
+    path = tmp_path / "views.mcap"
+    camera, board = moved(X_TOOL_CAMERA, 0.01, 2.0), moved(X_BASE_BOARD, 0.02, 2.0)
+    with open_cell(SMALL) as cell:
+        plan = plan_for(SMALL, Mounting.EYE_IN_HAND, cell, camera, board)
+        devices = BoardCell(cell.camera, cell.arm, cell.clock, Mounting.EYE_IN_HAND, X_TOOL_CAMERA)
+        approach = Approach(CONFIG, cell.arm)
+        collect(devices, approach, plan, path, np.random.default_rng(0), lambda _: None)
+    out = tmp_path / "calibration.yaml"
+    files = ["--record", str(path), "--out", str(out), "--report", str(tmp_path / "page.html")]
+    assert main(["solve", *files]) == 0
+    calibration = load_calibration(out)
+    assert calibration.mounting == "eye-in-hand"
+    distance, angle = calibration.pose.transform().distance(X_TOOL_CAMERA)
+    assert distance < 0.2e-3
+    assert np.rad2deg(angle) < 0.02
+
+
+@pytest.mark.slow
+def test_by_hand(tmp_path: Path) -> None:
+    """A person, played by the arm, moves to what is proposed; one picture hides the board."""
+    path = tmp_path / "views.mcap"
+    seen: list[Progress] = []
+    with open_cell(SMALL) as cell:
+        devices, plan = held_board(cell), held_board_plan(cell)
+        approach = Approach(CONFIG, cell.arm)
+        to_board = plan.guess.X_parent_camera, plan.guess.X_parent_board
+
+        def person() -> bool:
+            """Shows the board about where it is asked for, until it is enough."""
+            if seen[-1].deviation < 2 * plan.goal:
+                return False
+            cell.arm.connect()
+            if len(seen) == 1:
+                approach.go_home()
+            else:
+                assert seen[-1].X_camera_board is not None
+                camera, board = to_board
+                q = approach.reach_by_hand(camera @ seen[-1].X_camera_board @ board.inverse())
+                assert q is not None
+                cell.arm.move_joints(q, speed=1.0, acceleration=1.4, deadline=60.0)
+            cell.arm.close()
+            return True
+
+        rng = np.random.default_rng(3)
+        reach, hides = approach.reach_by_hand, approach.hides
+        collect_by_hand(devices, reach, hides, plan, path, rng, seen.append, person)
+    assert seen[1].problems[0].startswith("no board")
+    assert seen[1].views == ()
+    record = read_record(path)
+    assert len(record.views) == len(seen) - 1
+    assert len(seen[-1].views) == len(record.views) - 1
+
+
+def test_collect_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The mock cell shows no board: what is seen is said, and drawn."""
+    record = tmp_path / "views.mcap"
+    board = [str(v) for v in X_TOOL_BOARD.as_rotation_vector()]
+    arguments = ["collect", "--record", str(record), "--seed", "1"]
+    assert main(arguments) == 2
+    assert "give --board-pose" in capsys.readouterr().out
+    assert main([*arguments, "--mounting", "eye-in-hand", "--board-pose", *board]) == 2
+    assert "give --camera-pose" in capsys.readouterr().out
+    assert main([*arguments, "--board-pose", *board]) == 2
+    said = capsys.readouterr().out
+    assert "no board: no marker is seen" in said
+    assert "12 pictures could not be used" in said.replace("\n", " ")
+    picture = cv2.imread(str(record.with_suffix(".png")))
+    assert picture is not None
+    assert picture.shape == (720, 1280, 3)
+    assert main(["solve", "--record", str(record)]) == 2
+    assert "in none of the 12 pictures" in capsys.readouterr().out.replace("\n", " ")

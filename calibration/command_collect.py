@@ -1,0 +1,112 @@
+"""tdpg-calibrate collect: on a cell, by the arm's own motion or by hand."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+
+from calibration.approach import Approach
+from calibration.board_arguments import target_of
+from calibration.collect import collect, collect_by_hand
+from calibration.collection import Plan, Progress
+from calibration.detect import self_test
+from calibration.live import draw, panel, write_picture
+from calibration.projection import Estimate
+from calibration.record import Setup
+from calibration.views import Mounting
+from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.errors import CalibrationError
+from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.hal import Intrinsics
+
+DEPTHS = (0.4, 0.6)  # m before a camera on the tool, where its calibration is to be good
+
+
+def run_collect(args: argparse.Namespace, console: Console) -> int:
+    from tdpg_deploy.cell import open_cell  # drivers or simulation: only where something moves
+
+    self_test()
+    config = uncalibrated(load_cell(args.config or DEFAULT_CELL))
+    setup = Setup(
+        mounting=Mounting(args.mounting), target=target_of(args), workspace=config.workspace
+    )
+    camera, board = first_guess(args, config)
+    rng = np.random.default_rng(args.seed)
+    with open_cell(config, real=args.real) as cell:
+        lens = cell.camera.intrinsics
+        plan = Plan(
+            setup=setup,
+            guess=Estimate(X_parent_camera=camera, X_parent_board=board, intrinsics=lens),
+            p_workspace=workspace_points(config, setup.mounting, camera, lens),
+            goal=args.goal,
+        )
+        approach, path = Approach(config, cell.arm), args.record
+        with Live(console=console, auto_refresh=False) as live:
+
+            def tell(progress: Progress) -> None:
+                live.update(panel(progress, plan), refresh=True)
+                write_picture(draw(progress, plan.target, lens), path.with_suffix(".png"))
+
+            if args.by_hand:
+                ask = _asker(console, live)
+                reach, hides = approach.reach_by_hand, approach.hides
+                collect_by_hand(cell, reach, hides, plan, path, rng, tell, ask)
+            else:
+                collect(cell, approach, plan, path, rng, tell)
+    console.print(f"{path}: solve it with tdpg-calibrate solve --record {path}")
+    return 0
+
+
+def uncalibrated(config: CellConfig) -> CellConfig:
+    """The cell without the corrections of an earlier calibration; its pose stays as a guess."""
+    camera = config.camera.model_copy(update={"calibration": None})
+    return config.model_copy(update={"camera": camera})
+
+
+def first_guess(args: argparse.Namespace, config: CellConfig) -> tuple[Transform, Transform]:
+    """X_parent_camera and X_parent_board."""
+    in_hand = Mounting(args.mounting) is Mounting.EYE_IN_HAND
+    if args.board_pose is None and not args.by_hand:
+        where = "base" if in_hand else "the tool"
+        raise CalibrationError(
+            f"give --board-pose, the board in {where} to some centimetres, or --by-hand"
+        )
+    if args.camera_pose is None and in_hand:
+        raise CalibrationError("give --camera-pose, the camera in the tool to some centimetres")
+    camera = (
+        config.X_base_camera
+        if args.camera_pose is None
+        else Transform.from_rotation_vector(args.camera_pose)
+    )
+    return camera, Transform.from_rotation_vector(args.board_pose or [0.0] * 6)
+
+
+def workspace_points(
+    config: CellConfig, mounting: Mounting, X_parent_camera: Transform, lens: Intrinsics
+) -> Array:
+    """(n, 3) in the camera's parent frame: where the calibration is to be good."""
+    if mounting is Mounting.EYE_TO_HAND:
+        square = config.workspace
+        x, y = np.linspace(*square.x_range, 5), np.linspace(*square.y_range, 5)
+        heights = [square.table_z, square.table_z + 0.1]
+        return np.stack(np.meshgrid(x, y, heights), axis=-1).reshape(-1, 3)
+    u, v, z = np.meshgrid(
+        np.linspace(0.1, 0.9, 5) * lens.width, np.linspace(0.1, 0.9, 5) * lens.height, DEPTHS
+    )
+    rays = [(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)]
+    p_camera: Array = (z[..., None] * np.stack(rays, axis=-1)).reshape(-1, 3)
+    return X_parent_camera @ p_camera
+
+
+def _asker(console: Console, live: Live) -> Callable[[], bool]:
+    def ask() -> bool:
+        live.stop()  # it would write over the question
+        answer = console.input("Enter: take a picture with the arm at rest; f: finish. ")
+        live.start()
+        return answer.strip().lower() != "f"
+
+    return ask
