@@ -19,15 +19,20 @@ from tdpg_deploy.errors import ArmError, DeviceError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import ArmState, GripperState, MotionEnd, MotionResult, OnArmState
 from tdpg_deploy.motion import plan_homing
-from tdpg_deploy.outcome import GraspOutcome, Motion, Outcome, PushOutcome, Verdict
+from tdpg_deploy.outcome import (
+    EMPTY_BELOW,
+    HELD_ABOVE,
+    GraspOutcome,
+    Motion,
+    Outcome,
+    PushOutcome,
+    Verdict,
+)
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 from tdpg_deploy.safety import check_steps
 
 OnGripperState: TypeAlias = Callable[[GripperState], None]
 
-# The gripper's reading is good to a count or two of 0.4 mm; the thinnest block is 25 mm.
-EMPTY_BELOW = 0.003  # m
-HELD_ABOVE = 0.006  # m
 AT_HOME = 0.01  # rad
 _GRACE = 3.0  # s that a motion may take beyond twice its ideal time
 

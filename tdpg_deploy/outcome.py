@@ -6,6 +6,11 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+# Between the pads: the gripper's reading is good to a count or two of 0.4 mm; the thinnest block
+# is 25 mm.
+EMPTY_BELOW = 0.003  # m
+HELD_ABOVE = 0.006  # m
+
 
 class Verdict(Enum):
     YES = "yes"

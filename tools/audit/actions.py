@@ -11,8 +11,14 @@ import numpy as np
 
 from policies.primitives import Grasp, Primitive
 from tdpg_deploy.episode_log.entries import Intent, Refusal, Step
-from tdpg_deploy.execution import EMPTY_BELOW, HELD_ABOVE
-from tdpg_deploy.outcome import GraspOutcome, Outcome, PushOutcome, Verdict
+from tdpg_deploy.outcome import (
+    EMPTY_BELOW,
+    HELD_ABOVE,
+    GraspOutcome,
+    Outcome,
+    PushOutcome,
+    Verdict,
+)
 from tdpg_deploy.plan import MoveLinear
 from tools.audit.causes import Cause, Finding
 

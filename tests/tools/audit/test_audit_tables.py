@@ -171,3 +171,12 @@ def test_help_is_light() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+def test_workers_load_neither_networks_nor_physics() -> None:
+    code = (
+        "import sys, tools.audit.run, tools.audit.site_build; "
+        "print([m for m in ('torch', 'pybullet', 'numba') if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
