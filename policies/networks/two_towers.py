@@ -29,6 +29,7 @@ class TwoTowerNet(Network):
     """
 
     STRIDE = 32
+    PATCH = 320  # a whole picture, moved so that the action is in the middle
 
     def __init__(self, *, goal: bool) -> None:
         super().__init__()
@@ -51,6 +52,18 @@ class TwoTowerNet(Network):
     def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         logits: torch.Tensor = self.evaluation_net(features, places)
         return logits
+
+    def at(
+        self, patches: torch.Tensor, places: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Its receptive field is larger than a picture, so it learns from all that is seen within
+        32 cm of the action, wherever in the picture it decides on that lies."""
+        maps = self(patches)
+        return (
+            sample(maps.push, places)[:, 0],
+            sample(maps.grasp, places)[:, 0],
+            self.evaluate(maps.features, places),
+        )
 
     def load_imagenet(self, weights: Mapping[str, torch.Tensor]) -> None:
         """Begin both towers with torchvision's densenet121 state dict."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from policies.decide import best_grasps
+from policies.decide import best_grasps, best_push
 from policies.heightmap import Heightmap
 from policies.policy import Decision, QMaps
 from policies.primitives import Push
@@ -82,7 +82,7 @@ class Notebook(NullRecorder):
             self._follow(self._last, decision.maps)
         transition = np.zeros((), TRANSITION)
         transition["look"] = self._latest
-        transition["next_look"] = transition["grasped"] = -1
+        transition["next_look"] = transition["grasped"] = transition["next_push"] = -1
         transition["push"] = isinstance(decision.primitive, Push)
         for name in ("rotation", "row", "col"):
             transition[name] = getattr(decision, name)
@@ -168,6 +168,9 @@ class Notebook(NullRecorder):
             grasps += [grasps[0]] * (CANDIDATES - len(grasps))
             step.transition["next_look"] = self._latest
             step.transition["next_grasps"] = grasps
+            push = best_push(maps, self._rng)
+            if push is not None:
+                step.transition["next_push"] = push.rotation, push.row, push.col
         if step.is_push and float(maps.grasp.max()) > step.value:
             step.transition["reward"] += self._reward.rose
 
