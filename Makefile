@@ -2,6 +2,8 @@
 PYTHON ?= $(shell for p in python3.11 python3.10 python3; do $$p -c '' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+AGAIN := $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
+DRIVERS := tests/tdpg_deploy/drivers
 export OMP_NUM_THREADS ?= 2
 
 .PHONY: setup demo test check lint types clean
@@ -20,7 +22,9 @@ demo: setup
 
 # Some tests talk to other processes in real time: what fails is tried once more, alone.
 test: lint types
-	$(PYTEST) || $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
+	$(PYTEST) --ignore $(DRIVERS) || $(AGAIN)
+	$(PYTEST) $(DRIVERS) --cov --cov-report= || $(AGAIN) --cov --cov-append --cov-report=
+	$(BIN)/coverage report
 
 # The quick loop: without slow tests, and without those of wires and calibration.
 check: lint types

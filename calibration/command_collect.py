@@ -13,6 +13,7 @@ from calibration.approach import Approach
 from calibration.board_arguments import target_of
 from calibration.collect import collect, collect_by_hand
 from calibration.collection import Plan, Progress
+from calibration.consent import ask_consent
 from calibration.detect import self_test
 from calibration.live import draw, panel, write_picture
 from calibration.projection import Estimate
@@ -36,6 +37,12 @@ def run_collect(args: argparse.Namespace, console: Console) -> int:
     )
     camera, board = first_guess(args, config)
     rng = np.random.default_rng(args.seed)
+    if not args.by_hand:
+        what = (
+            "The arm is going to move through some 15 poses, by way of home. The check of its "
+            "motions knows neither the board nor the cables."
+        )
+        ask_consent(console, what, real=args.real)
     with open_cell(config, real=args.real) as cell:
         lens = cell.camera.intrinsics
         plan = Plan(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from calibration.approach import Approach
+from calibration.consent import ask_consent
 from calibration.table import workspace_points
 from calibration.touch import Touch, find_places, touch_all
 from tdpg_deploy.averaging import mean_depth
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
-from tdpg_deploy.errors import CalibrationError
 
 FRAMES = 15  # still ones; their mean is steadier than what the test is to find
 LIMIT = 3e-3  # m; a grasp has half of the thinnest block's height to spare
@@ -30,8 +29,8 @@ def run_touch(args: argparse.Namespace, console: Console) -> int:
         from tdpg_deploy.workspace import workspace_of
 
         scene = load_scene(args.scene, workspace_of(config))
-    if args.real:
-        _ask_consent(console)
+    what = "The arm is going to come down on things on the table, slowly, until it feels them."
+    ask_consent(console, what, real=args.real)
     with open_cell(config, real=args.real, scene=scene) as cell:
         approach = Approach(config, cell.arm)
         approach.go_home()
@@ -70,14 +69,3 @@ def as_table(touches: list[Touch]) -> Table:
     median, spread = np.nanmedian(errors), np.nanmax(errors) - np.nanmin(errors)
     table.caption = f"median {median:+.2f} mm, {spread:.2f} mm from lowest to highest"
     return table
-
-
-def _ask_consent(console: Console) -> None:
-    console.print(
-        "The arm is going to come down on the things on the table, slowly, until it feels them. "
-        "Keep clear, and a hand at the emergency stop."
-    )
-    if not sys.stdin.isatty():
-        raise CalibrationError("the touch test asks before it moves, and nobody can answer here")
-    if console.input("Type yes to go on: ").strip().lower() != "yes":
-        raise CalibrationError("nothing was moved: the answer was not yes")

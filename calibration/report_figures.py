@@ -44,17 +44,18 @@ def line(x0: float, y0: float, x1: float, y1: float, color: str = GRID, width: f
 def coverage(found: HandEye, views: Sequence[View]) -> str:
     """All corners in the picture."""
     lens, used = found.intrinsics, _used(found)
-    marks = [line(lens.width * i / 3, 0, lens.width * i / 3, lens.height, width=2) for i in (1, 2)]
-    marks += [
-        line(0, lens.height * i / 3, lens.width, lens.height * i / 3, width=2) for i in (1, 2)
-    ]
+    w, h = lens.width, lens.height
+    marks = [f'<rect width="{w}" height="{h}" fill="none" stroke="{GRID}" stroke-width="4"/>']
+    for third in (1 / 3, 2 / 3):
+        marks.append(line(w * third, 0, w * third, h, width=2))
+        marks.append(line(0, h * third, w, h * third, width=2))
     for view in views:
         color = GOOD if view.name in used else BAD
         marks += [
-            f'<circle cx="{u:.0f}" cy="{v:.0f}" r="5" fill="{color}" fill-opacity=".35"/>'
+            f'<circle cx="{u:.0f}" cy="{v:.0f}" r="7" fill="{color}" fill-opacity=".4"/>'
             for u, v in view.corners
         ]
-    return svg(lens.width, lens.height, "".join(marks), "corners of all views in the picture")
+    return svg(w, h, "".join(marks), "corners of all views in the picture")
 
 
 def residuals(found: HandEye, views: Sequence[View], board_corners: Array) -> str:
@@ -92,17 +93,14 @@ def view_bars(found: HandEye, rejected: Mapping[str, Sequence[str]]) -> str:
     marks = []
     for i, view in enumerate(found.views):
         y = i * row
-        length = min(view.rms / longest, 1.0) * (width - left - 70)
-        color = GOOD if view.used else BAD
-        marks.append(text(left - 8, y + 13, view.name, anchor="end"))
-        marks.append(
-            f'<rect x="{left}" y="{y + 4:.1f}" width="{length:.1f}" height="{row - 7}" rx="2" '
-            f'fill="{color}" fill-opacity=".75"/>'
-        )
+        length = min(view.rms / longest, 1.0) * (width - left - 190)
         said = f"{view.rms:.3f} px" + ("" if view.used else ", does not fit the others")
-        marks.append(
-            text(left + length + 6 if view.used else left + 8, y + 13, said, anchor="start")
-        )
+        marks += [
+            text(left - 8, y + 13, view.name, anchor="end"),
+            f'<rect x="{left}" y="{y + 4:.1f}" width="{length:.1f}" height="{row - 7}" rx="2" '
+            f'fill="{GOOD if view.used else BAD}" fill-opacity=".75"/>',
+            text(left + length + 6, y + 13, said, anchor="start"),
+        ]
     for i, (name, problems) in enumerate(rejected.items(), start=len(found.views)):
         marks.append(text(left - 8, i * row + 13, name, anchor="end"))
         marks.append(text(left, i * row + 13, "; ".join(problems), anchor="start"))
@@ -151,7 +149,8 @@ def depth_plot(samples: Sequence[DepthSamples], model: DepthModel) -> str:
     after = 1e3 * (model.correct(measured) - expected)
     width, height, left, bottom = 640.0, 300.0, 52.0, 34.0
     near, far = float(expected.min()), float(expected.max())
-    reach = max(1.0, float(np.percentile(np.abs(np.concatenate([before, after])), 99.5)) * 1.1)
+    usual = np.percentile(np.abs(np.concatenate([before, after])), 90)  # an arm may hide squares
+    reach = max(1.0, 2 * float(usual))
 
     def place(z: float, error: float) -> tuple[float, float]:
         across = left + (z - near) / max(far - near, 1e-6) * (width - left - 12)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ from tdpg_deploy.hal import Intrinsics
 FOLDS = 5
 MARGIN = 1.5
 WORTH = 20.0  # chi-square that held-out views must gain before lens or scale is set free
+GATE_PIXEL_NOISE = 0.1  # px; far or oblique views have more than the median one, and are good
 LEAST_PIXEL_NOISE = 0.02  # px; better corners have not been seen, nor a smaller error be true
 
 
@@ -181,6 +182,7 @@ def _good(estimate: Estimate, seen: Observations, noise: Noise) -> npt.NDArray[n
     One good view in 10,000 fails, with a margin for noise that is not quite Gaussian.
     """
     parts = split(estimate, seen)
+    noise = replace(noise, pixel=max(noise.pixel, GATE_PIXEL_NOISE))
     freedom = parts.counts - 6
     corners = parts.corner_ratio(noise.pixel) < MARGIN * chi2.ppf(1 - 1e-4, freedom) / freedom
     pose = parts.pose_chi2(noise) < MARGIN * chi2.ppf(1 - 1e-4, 6)

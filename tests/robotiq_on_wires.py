@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from ur_rig import PacedClock
 
@@ -18,10 +18,12 @@ WIRES = ("serial", "rtu_over_tcp", "urcap")
 
 
 class Bench:
-    """A gripper on a table, its emulator, and what objects leave free between its pads."""
+    """A gripper on a table, its emulator, and what objects leave free between its pads.
+    exits: what is to be closed with it."""
 
     def __init__(self) -> None:
         self.span = (0.0, STROKE)
+        self.exits = ExitStack()
         self.clock = PacedClock(PACE)
         self.jaws = KinematicJaws(self.clock.now, span=lambda: self.span)
         self.emulator = RobotiqEmulator(RobotiqModel(self.jaws, self.clock.now))
@@ -36,7 +38,7 @@ class Bench:
 def emulated_gripper() -> Iterator[Bench]:
     """The emulator alone, with no wire yet: `gripper` cannot be connected."""
     bench = Bench()
-    with bench.emulator:
+    with bench.emulator, bench.exits:
         yield bench
 
 

@@ -9,7 +9,12 @@ import struct
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tdpg_deploy.drivers.ur5_network import RTDE_PORT, Connection
+from tdpg_deploy.drivers.ur5_network import (
+    RTDE_PORT,
+    Connection,
+    rtde_payload,
+    rtde_request,
+)
 from tdpg_deploy.errors import DeviceUnreachable
 
 VARIABLES = "timestamp,actual_q,target_speed_fraction"
@@ -32,15 +37,15 @@ class Listening:
 def listen(host: str, *, rate: float) -> Listening:
     """Ask for `rate` states a second and hear SAMPLES of them. Raises DeviceError."""
     with Connection(host, RTDE_PORT, deadline=DEADLINE) as connection:
-        _ask(connection, b"V", struct.pack(">H", 2))
-        reply = _ask(connection, b"O", struct.pack(">d", rate) + VARIABLES.encode())
+        rtde_request(connection, b"V", struct.pack(">H", 2))
+        reply = rtde_request(connection, b"O", struct.pack(">d", rate) + VARIABLES.encode())
         if reply[1:] != TYPES:
             raise DeviceUnreachable(
                 f"the controller at {host} offers {reply[1:].decode()} for {VARIABLES}: is it "
                 "PolyScope 3.4 or newer?"
             )
-        _ask(connection, b"S", b"")
-        states = [_state(_await(connection, b"U")) for _ in range(SAMPLES)]
+        rtde_request(connection, b"S")
+        states = [_state(rtde_payload(connection, b"U")) for _ in range(SAMPLES)]
     stamps = [stamp for stamp, _, _ in states]
     gaps = [after - before for before, after in pairwise(stamps)]
     _, q, slider = states[-1]
@@ -50,20 +55,6 @@ def listen(host: str, *, rate: float) -> Listening:
         q=q,
         slider=slider,
     )
-
-
-def _ask(connection: Connection, kind: bytes, payload: bytes) -> bytes:
-    connection.send(struct.pack(">H", 3 + len(payload)) + kind + payload)
-    return _await(connection, kind)
-
-
-def _await(connection: Connection, kind: bytes) -> bytes:
-    """The payload of the next package of this kind; text messages may come in between."""
-    while True:
-        size, got = struct.unpack(">Hc", connection.exactly(3))
-        payload = connection.exactly(size - 3)
-        if got == kind:
-            return payload
 
 
 def _state(payload: bytes) -> tuple[float, tuple[float, ...], float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from tdpg_deploy.hal import Clock, Intrinsics, RgbdFrame
 WARM_UP = 1.0  # s; auto exposure settles within about 30 frames
 FIRST_FRAME_LIMIT = 5.0  # s of real time from the start of the streams
 ARRIVAL_LATENCY = 0.1  # s; from exposure to the host at most, for cameras that do not say
+SILENT_PERIODS = 3  # without a frame: the stream has ceased
 PATIENCE_MS = 50  # of real time in one wait, between looks at the clock
 
 
@@ -191,12 +193,15 @@ class RealsenseCamera:
 
     def _next_fresh(self, session: _Session, began: float, end: float) -> Any:
         """A pair exposed after `began` (host time)."""
-        complaint = ""
+        complaint, heard = "", -math.inf
         while True:
             try:
                 frames = self._wait(session, lambda: self._clock.now() >= end)
-            except DeviceTimeout as error:
-                raise CameraError(complaint) if complaint else error from None
+            except DeviceTimeout:
+                if self._clock.now() - heard < SILENT_PERIODS / self._section.fps:
+                    raise CameraError(complaint) from None
+                raise  # whatever was wrong with the last frame, none came after it
+            heard = self._clock.now()
             if not (complaint := self._flaw(frames, began)):
                 return frames
             if self._clock.now() >= end:

@@ -193,6 +193,7 @@ class UrArm:
         on_state: OnArmState | None,
     ) -> MotionResult:
         with self._lock:
+            self._link.require_open()  # else there is nothing to halt, but others' programs
             self._stop_asked.clear()
             end = self._clock.now() + deadline
             try:

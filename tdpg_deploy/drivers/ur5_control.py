@@ -51,14 +51,22 @@ class ControlProcess:
 
     def call(self, name: str, *arguments: object, deadline: float = 4.0) -> Any:
         """The result of a `Session` method. The child is killed when it does not answer."""
-        if self._connection is None:
-            raise DeviceUnreachable("the arm is not connected: call connect() or recover()")
+        connection = self._started()
         self._number += 1
         try:
-            self._connection.send((self._number, name, arguments))
+            connection.send((self._number, name, arguments))
         except OSError as error:
             raise self._died() from error
         return self._await_answer(name, deadline)
+
+    def require_started(self) -> None:
+        """Raises DeviceUnreachable where there is nothing to call, and so nothing to stop."""
+        self._started()
+
+    def _started(self) -> Connection:
+        if self._connection is None:
+            raise DeviceUnreachable("the arm is not connected: call connect() or recover()")
+        return self._connection
 
     def kill(self) -> None:
         """End the child now, whatever it does. The controller's watchdog stops the arm."""

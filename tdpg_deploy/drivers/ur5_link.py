@@ -133,6 +133,10 @@ class UrLink:
 
     # --- motion -------------------------------------------------------------------------------
 
+    def require_open(self) -> None:
+        """Raises DeviceUnreachable before `open`, and after the link was given up."""
+        self._control.require_started()
+
     def start(
         self, request: str, numbers: tuple[float, ...], speed: float, acceleration: float
     ) -> int:

@@ -12,11 +12,13 @@ import time
 from types import TracebackType
 
 from tdpg_deploy.drivers.ur5_status import ControllerVersion, RobotMode, SafetyMode
-from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable
+from tdpg_deploy.errors import ArmError, DeviceTimeout, DeviceUnreachable
 
 DASHBOARD_PORT = 29999
 SCRIPT_PORT = 30003
 RTDE_PORT = 30004
+_RTDE_HEADER = 3  # bytes: u16 size of the package, u8 kind (RTDE guide, "Header")
+_RTDE_TEXT = b"M"
 
 
 class Connection:
@@ -69,6 +71,11 @@ class Connection:
         data, self._buffer = self._buffer[:count], self._buffer[count:]
         return data
 
+    def nonsense(self, data: bytes) -> DeviceUnreachable:
+        return DeviceUnreachable(
+            f"{self._name} answers {data[:20]!r}, which no UR controller would: is arm.host right?"
+        )
+
     def _receive(self) -> bytes:
         try:
             self._socket.settimeout(max(self._end - time.monotonic(), 1e-3))
@@ -103,11 +110,35 @@ def ask_dashboard(host: str, *commands: str, deadline: float = 2.0) -> list[str]
 def ask_version(host: str, *, deadline: float = 2.0) -> ControllerVersion:
     """By RTDE: protocol version 2 ("V"), then the controller's version ("v")."""
     with Connection(host, RTDE_PORT, deadline=deadline) as connection:
-        connection.send(struct.pack(">HBH", 5, ord("V"), 2))
-        connection.exactly(4)
-        connection.send(struct.pack(">HB", 3, ord("v")))
-        _, _, major, minor, bugfix, build = struct.unpack(">HB4I", connection.exactly(19))
+        if rtde_request(connection, b"V", struct.pack(">H", 2)) != b"\1":
+            raise ArmError(
+                f"the controller at {host} does not speak version 2 of RTDE: update PolyScope to "
+                "3.4 or newer"
+            )
+        payload = rtde_request(connection, b"v")
+        if len(payload) != struct.calcsize(">4I"):
+            raise connection.nonsense(payload)
+        major, minor, bugfix, build = struct.unpack(">4I", payload)
         return ControllerVersion(major=major, minor=minor, bugfix=bugfix, build=build)
+
+
+def rtde_request(connection: Connection, kind: bytes, payload: bytes = b"") -> bytes:
+    """The payload of the answer, which is of the same kind."""
+    connection.send(struct.pack(">Hc", _RTDE_HEADER + len(payload), kind) + payload)
+    return rtde_payload(connection, kind)
+
+
+def rtde_payload(connection: Connection, kind: bytes) -> bytes:
+    """Of the next package of this kind; text messages may come before it. Raises DeviceError,
+    DeviceUnreachable for bytes that no controller would send."""
+    while True:
+        header = connection.exactly(_RTDE_HEADER)
+        size, got = struct.unpack(">Hc", header)
+        if size < _RTDE_HEADER or got not in (kind, _RTDE_TEXT):
+            raise connection.nonsense(header)
+        payload = connection.exactly(size - _RTDE_HEADER)
+        if got == kind:
+            return payload
 
 
 def ask_modes(host: str) -> tuple[int, int]:

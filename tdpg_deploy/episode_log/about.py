@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from tdpg_deploy.cell_config import CellConfig, parse_cell
 from tdpg_deploy.errors import ConfigError, LogError
 
 SCHEMA_VERSION = 1  # of channels and documents; docs/log.md says what changed when
+
+LATEST = 253_402_300_799  # s since the UNIX epoch: the end of the year 9999, and of calendars
+
+N = TypeVar("N", int, float)
 
 METADATA = "tdpg"
 VERSIONS = "versions"
@@ -83,9 +88,9 @@ def from_metadata(
         return About(
             cell=parse_cell(json.loads(attachments[CELL]), source=CELL),
             policy=metadata["policy"],
-            started_at=float(metadata["started_at"]),
+            started_at=_within(float(metadata["started_at"]), 0, LATEST),
             checkpoint_sha256=metadata.get("checkpoint_sha256"),
-            seed=None if seed is None else int(seed),
+            seed=None if seed is None else _within(int(seed), 0, 2**63 - 1),
             command=metadata.get("command", ""),
             scene=None if scene is None else scene.decode(),
             commit=metadata.get("commit"),
@@ -93,5 +98,12 @@ def from_metadata(
         )
     except KeyError as error:
         raise LogError(f"the head of the log is incomplete: {error} is missing") from error
-    except (ValueError, RecursionError, ConfigError) as error:
+    except (ValueError, OverflowError, RecursionError, ConfigError) as error:
         raise LogError(f"the head of the log cannot be read: {error}") from error
+
+
+def _within(value: N, low: float, high: float) -> N:
+    """Raises ValueError; nan lies nowhere."""
+    if not low <= value <= high:
+        raise ValueError(f"{value:.6g} is not between {low:.6g} and {high:.6g}")
+    return value

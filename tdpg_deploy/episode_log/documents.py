@@ -108,7 +108,9 @@ def _reader(kind: Any) -> Reader:
         return lambda value: Transform.from_quaternion(value["position"], value["quaternion"])
     if kind is float:
         return _float
-    if kind in (int, str, bool):
+    if kind is int:
+        return _integer
+    if kind in (str, bool):
         return lambda value: _expect(kind, value)
     if issubclass(kind, Enum):
         return cast(Reader, kind)
@@ -150,6 +152,13 @@ def _float(value: Any) -> float:
     if type(value) is float:  # the most frequent of all by far
         return value
     return nan if value is None else float(_expect((int, float), value))
+
+
+def _integer(value: Any) -> int:
+    whole: int = _expect(int, value)
+    if whole.bit_length() > 63:
+        raise OverflowError(f"an integer of {whole.bit_length()} bits")
+    return whole
 
 
 def _expect(kind: Any, value: Any) -> Any:

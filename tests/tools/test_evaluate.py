@@ -27,7 +27,14 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
         assert result is not None
         assert row["reason"] == result.reason.value
         assert row["objects"] == 1
-        assert row["actions"] == result.actions
+        assert row["actions"] == result.actions == len(row["lifted"])
+        assert sum(row["lifted"]) == result.grasp_successes
+
+    judged = tmp_path / "judged"
+    assert main(["--logs", *map(str, logs), "--out", str(judged)]) == 0
+    (again,) = json.loads((judged / "figures.json").read_text())
+    assert (again["tables"], again["policy"]) == ("mock", "random")
+    assert again["metrics"] == report["metrics"]
 
     written = [log.stat().st_mtime_ns for log in logs]
     assert main(command) == 0

@@ -85,7 +85,13 @@ def slug(episode: str) -> str:
 
 
 def _write_page(page: Page) -> str:
-    record = page.listed.record
+    write_page(page.listed, page.out, earlier=page.earlier, later=page.later)
+    return page.listed.record.episode
+
+
+def write_page(log: Listed, out: Path, *, earlier: str | None, later: str | None) -> None:
+    """Into the folder out/episodes. earlier, later: slugs of the neighbours."""
+    record = log.record
     name = slug(record.episode)
     episode = read_episode(Path(record.path))
     cell = episode.about.cell
@@ -94,20 +100,19 @@ def _write_page(page: Page) -> str:
         for step in episode.steps(images=False):
             steps.append(step_data(step, explain_action(step, previous), cell))
             previous = step
-    images = write_images(episode, page.out / "episodes" / name)
+    images = write_images(episode, out / "episodes" / name)
     data = {
         "episode": record_data(record),
-        "findings": findings_data(page.listed.findings),
+        "findings": findings_data(log.findings),
         "steps": steps,
         "looks": images.looks,
         "q_maps": images.q_maps,
         "folder": name,
-        "earlier": page.earlier,
-        "later": page.later,
+        "earlier": earlier,
+        "later": later,
     }
-    target = page.out / "episodes" / f"{name}.html"
+    target = out / "episodes" / f"{name}.html"
     target.write_text(_page(f"{record.episode} · audit", "episode.js", data), encoding="utf-8")
-    return record.episode
 
 
 def _index(logs: Sequence[Listed], tally: Tally) -> str:

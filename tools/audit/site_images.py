@@ -41,7 +41,8 @@ def write_images(episode: Episode, folder: Path) -> Images:
         for topic, content in episode.raw(topics):
             if topic == channels.LOOK:
                 sequence = documents.decode(LookDocument, content).sequence
-                images.looks[str(sequence)] = _write(folder, f"look{sequence}", waiting, _LOOKS)
+                name = f"look{len(images.looks) + 1}"
+                images.looks[str(sequence)] = _write(folder, name, waiting, _LOOKS)
             elif topic == channels.DECISION:
                 name = f"q{len(images.q_maps) + 1}"
                 images.q_maps.append(_write(folder, name, waiting, _Q_MAPS))

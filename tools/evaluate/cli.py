@@ -41,6 +41,14 @@ def parser() -> argparse.ArgumentParser:
     tables.add_argument(
         "--scene", type=Path, nargs="+", default=[], metavar="FILE", help="scene files"
     )
+    tables.add_argument(
+        "--logs",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="play nothing: judge these logs, of a real cell too",
+    )
     return p
 
 

@@ -13,6 +13,7 @@ from rich.progress import track
 
 from policies.shipped import open_policy
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.episode_log.reader import read_episode
 from tools.evaluate.metrics import EpisodeRow, Metrics, evaluate
 from tools.evaluate.play import Trial, play_all
 from tools.evaluate.plots import write_plots
@@ -25,23 +26,18 @@ PAPER_GOAL_OBJECTS = (30,)
 NOVEL_OBJECTS = (10,)
 
 
+Rows = dict[Key, list[EpisodeRow]]
+
+
 def evaluate_policies(args: argparse.Namespace, console: Console) -> None:
-    """Play what is missing under args.out and report all. Raises TdpgError, PolicyError."""
-    cell = load_cell(args.config or DEFAULT_CELL)
-    trials = [
-        trial
-        for table in tables_of(args)
-        for policy in args.policy or [None]
-        for trial in _trials(policy, table, cell, args)
-    ]
-    rows: dict[Key, list[EpisodeRow]] = {}
-    done = play_all(trials, workers=args.workers)
-    for trial in track(done, "playing", len(trials), console=console):
-        row = read_row(trial.log, scene=trial.table.name)
-        for group in trial.table.groups:
-            rows.setdefault((_titled(group, args.goal), _label(trial.policy)), []).append(row)
+    """Judge args.logs, or play what is missing under args.out; report all.
+
+    Raises TdpgError, PolicyError.
+    """
+    rows = _judged(args.logs) if args.logs else _played(args, console)
     metrics = {key: evaluate(episodes) for key, episodes in rows.items()}
     console.print(figures_table(metrics))
+    args.out.mkdir(parents=True, exist_ok=True)
     report = args.out / "figures.json"
     report.write_text(as_json(metrics, rows), encoding="utf-8")
     plots = write_plots(metrics, rows, args.out)
@@ -49,6 +45,33 @@ def evaluate_policies(args: argparse.Namespace, console: Console) -> None:
         console.print(str(file), markup=False, soft_wrap=True)
     if not plots:
         console.print("no plots: pip install 'tdpg-deploy[eval]'", markup=False)
+
+
+def _judged(logs: Sequence[Path]) -> Rows:
+    """Of whatever cell: its name stands for the tables."""
+    rows: Rows = {}
+    for log in logs:
+        about = read_episode(log).about
+        row = read_row(log, scene=about.cell.name)
+        rows.setdefault((_titled(about.cell.name, row.goal), about.policy), []).append(row)
+    return rows
+
+
+def _played(args: argparse.Namespace, console: Console) -> Rows:
+    cell = load_cell(args.config or DEFAULT_CELL)
+    trials = [
+        trial
+        for table in tables_of(args)
+        for policy in args.policy or [None]
+        for trial in _trials(policy, table, cell, args)
+    ]
+    rows: Rows = {}
+    done = play_all(trials, workers=args.workers)
+    for trial in track(done, "playing", len(trials), console=console):
+        row = read_row(trial.log, scene=trial.table.name)
+        for group in trial.table.groups:
+            rows.setdefault((_titled(group, args.goal), _label(trial.policy)), []).append(row)
+    return rows
 
 
 def tables_of(args: argparse.Namespace) -> list[Table]:

@@ -1,64 +1,69 @@
-"""Every row of docs/faults-gripper-camera.md, injected."""
+"""Every row of docs/faults.md about gripper and camera, injected."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from emulated_d435 import INTRINSICS, SERIAL, Scene, emulated, section
+from emulated_d435 import SERIAL, Scene, emulated
+from fault_table import Deed, Row, StillCamera, check_log, config, picture, strike, table
+from kinematic_cell import FakeArm, FakeGripper, Table
 from robotiq_on_wires import WIRES, Bench, bench_on
 
-from tdpg_deploy import errors
-from tdpg_deploy.cell import MachineClock
+from tdpg_deploy.cell import Cell, MachineClock
+from tdpg_deploy.drivers import realsense
 from tdpg_deploy.drivers.realsense import RealsenseCamera
 from tdpg_deploy.drivers.realsense_frames import to_intrinsics
-from tdpg_deploy.drivers.robotiq import RobotiqGripper
+from tdpg_deploy.drivers.realsense_source import RealsenseSource
+from tdpg_deploy.drivers.robotiq import RobotiqGripper, RobotiqWire
 from tdpg_deploy.drivers.robotiq_rtu import rtu_over_tcp_wire, serial_wire
 from tdpg_deploy.drivers.robotiq_urcap import UrcapWire
 from tdpg_deploy.emulators.realsense import EmulatedD435, depth_lost, holes, stale, stalled, torn
+from tdpg_deploy.emulators.realsense import Fault as CameraFault
 from tdpg_deploy.emulators.robotiq import FaultCode
 from tdpg_deploy.emulators.robotiq_modbus import frame
 from tdpg_deploy.emulators.robotiq_wires import corrupt, late, mute
 
-TABLE = Path(__file__).parents[3] / "docs" / "faults-gripper-camera.md"
+
+@pytest.fixture
+def arm() -> FakeArm:
+    """It stands at home, and is asked to go nowhere."""
+    return FakeArm(Table(config()))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    fault: str
-    wires: tuple[str, ...]
-    raised: type[Exception]
-    says: str
-
-
-def rows(section: str) -> list[Row]:
-    """The rows of one table of the page."""
-    text = TABLE.read_text(encoding="utf-8").partition(f"## {section}\n")[2].partition("\n## ")[0]
-    lines = [line.strip("| \n").split(" | ") for line in text.splitlines() if line[:2] == "| "]
-    head, *body = lines
-    found = []
-    for cells in body:
-        row = dict(zip(head, cells, strict=True))
-        wires = row.get("on", "")
-        found.append(
-            Row(
-                fault=row["fault"],
-                wires=WIRES if wires == "any" else tuple(wires.split(", ")),
-                raised=getattr(errors, row["raised"]),
-                says=row["the message says"],
-            )
-        )
-    return found
-
-
-GRIPPER, CAMERA = rows("Gripper"), rows("Camera")
+def check(
+    row: Row,
+    cell: Cell,
+    arm: FakeArm,
+    act: Callable[[], object],
+    directory: Path,
+    open_cells: ExitStack,
+) -> None:
+    """The fault strikes an episode, and all that its row says holds."""
+    log = directory / "episode.mcap"
+    raised = strike(cell, Deed(act), log, open_cells)
+    assert type(raised) is row.raised
+    assert row.is_told_by(str(raised))
+    assert (row.arm, arm.motions) == ("stays", [])
+    assert (arm.stops > 0) == (row.log != "none")
+    check_log(log, row, raised)
 
 
 # --- gripper ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """before: done before the cell is opened. provoke: raises, in an episode, with the gripper
+    activated; nothing where opening raises."""
+
+    before: Callable[[Bench], object] = lambda bench: None
+    provoke: Callable[[Bench], object] = lambda bench: None
 
 
 def move(bench: Bench) -> None:
@@ -69,7 +74,6 @@ def while_moving(act: Callable[[Bench], None]) -> Callable[[Bench], None]:
     """The deed happens when the fingers have travelled a millimetre."""
 
     def scenario(bench: Bench) -> None:
-        bench.gripper.activate()
         sleep = bench.clock.sleep
 
         def watch(seconds: float) -> None:
@@ -84,8 +88,8 @@ def while_moving(act: Callable[[Bench], None]) -> Callable[[Bench], None]:
     return scenario
 
 
-def fails_with(code: FaultCode) -> Callable[[Bench], None]:
-    return while_moving(lambda bench: bench.model.fail(code))
+def fails_with(code: FaultCode) -> Fault:
+    return Fault(provoke=while_moving(lambda bench: bench.model.fail(code)))
 
 
 def on_line(line: Callable[[bytes], tuple[float, bytes]]) -> Callable[[Bench], None]:
@@ -101,31 +105,37 @@ def blink(bench: Bench) -> None:
     bench.model.restore_power()
 
 
-def instead(bench: Bench, wire: object) -> None:
-    """Connect over another wire, and ask."""
-    bench.gripper.close()
-    bench.gripper = RobotiqGripper(wire, clock=bench.clock)  # type: ignore[arg-type]
-    bench.gripper.connect()
+def instead(wire: Callable[[Bench], RobotiqWire]) -> Callable[[Bench], None]:
+    """Another wire."""
+
+    def before(bench: Bench) -> None:
+        bench.gripper = RobotiqGripper(wire(bench), clock=bench.clock)
+
+    return before
 
 
-def serial_port_held(bench: Bench) -> None:
+def held_port(bench: Bench) -> RobotiqWire:
     port = bench.emulator.serve_pty()
     holder = serial_wire(port)
     holder.open()
-    try:
-        instead(bench, serial_wire(port))
-    finally:
-        holder.close()
+    bench.exits.callback(holder.close)
+    return serial_wire(port)
 
 
-def wrong_unit(bench: Bench) -> None:
+def wrong_unit(bench: Bench) -> RobotiqWire:
     host, port = bench.emulator.serve_rtu_over_tcp("127.0.0.1")
-    instead(bench, rtu_over_tcp_wire(host, port=port, unit_id=11))
+    return rtu_over_tcp_wire(host, port=port, unit_id=11)
 
 
 def jammed(bench: Bench) -> None:
+    blink(bench)
     bench.model.activation_blocked = True
     bench.gripper.activate(deadline=3.0)
+
+
+def not_activated(bench: Bench) -> None:
+    blink(bench)
+    move(bench)
 
 
 def refuse(bench: Bench) -> None:
@@ -134,7 +144,6 @@ def refuse(bench: Bench) -> None:
 
 
 def too_slow(bench: Bench) -> None:
-    bench.gripper.activate()
     bench.gripper.move(0.0, speed=0.02, force=20.0, deadline=0.5)
 
 
@@ -143,64 +152,63 @@ def gone(bench: Bench) -> None:
     bench.gripper.state()
 
 
-GRIPPER_SCENARIOS: dict[str, Callable[[Bench], None]] = {
-    "no-serial-port": lambda b: instead(b, serial_wire("/dev/no-such-port")),
-    "serial-port-held": serial_port_held,
-    "unplugged-while-moving": while_moving(lambda b: b.emulator.close()),
-    "no-server": lambda b: instead(b, rtu_over_tcp_wire("127.0.0.1", port=1)),
-    "no-urcap": lambda b: instead(b, UrcapWire("127.0.0.1", port=1)),
-    "server-gone": gone,
-    "urcap-gone": gone,
-    "mute": on_line(mute),
-    "mute-while-moving": while_moving(lambda b: setattr(b.emulator, "line", mute)),
-    "mute-urcap": on_line(mute),
-    "bad-checksums": on_line(corrupt),
-    "always-late": on_line(late(0.25)),
-    "wrong-unit": wrong_unit,
-    "another-device": on_line(lambda _: (0.0, frame(9, 0x84, b"\x02"))),
-    "arm-emergency-stopped": refuse,
-    "power-lost-while-moving": while_moving(lambda b: b.model.cut_power()),
-    "power-lost-behind-urcap": while_moving(lambda b: b.model.cut_power()),
-    "power-blinked": while_moving(blink),
-    "not-activated": move,
-    "jammed-at-activation": jammed,
-    "too-slow": too_slow,
+GRIPPER_FAULTS = {
+    "no-serial-port": Fault(before=instead(lambda b: serial_wire("/dev/no-such-port"))),
+    "serial-port-held": Fault(before=instead(held_port)),
+    "unplugged-while-moving": Fault(provoke=while_moving(lambda b: b.emulator.close())),
+    "no-server": Fault(before=instead(lambda b: rtu_over_tcp_wire("127.0.0.1", port=1))),
+    "no-urcap": Fault(before=instead(lambda b: UrcapWire("127.0.0.1", port=1))),
+    "server-gone": Fault(provoke=gone),
+    "urcap-gone": Fault(provoke=gone),
+    "mute": Fault(provoke=on_line(mute)),
+    "mute-while-moving": Fault(provoke=while_moving(lambda b: setattr(b.emulator, "line", mute))),
+    "mute-urcap": Fault(provoke=on_line(mute)),
+    "bad-checksums": Fault(provoke=on_line(corrupt)),
+    "always-late": Fault(provoke=on_line(late(0.25))),
+    "wrong-unit": Fault(before=instead(wrong_unit)),
+    "another-device": Fault(provoke=on_line(lambda _: (0.0, frame(9, 0x84, b"\x02")))),
+    "arm-emergency-stopped": Fault(provoke=refuse),
+    "power-lost-while-moving": Fault(provoke=while_moving(lambda b: b.model.cut_power())),
+    "power-lost-behind-urcap": Fault(provoke=while_moving(lambda b: b.model.cut_power())),
+    "power-blinked": Fault(provoke=while_moving(blink)),
+    "not-activated": Fault(provoke=not_activated),
+    "jammed-at-activation": Fault(provoke=jammed),
+    "fingers-too-slow": Fault(provoke=too_slow),
     "overheated": fails_with(FaultCode.HOT),
     "undervoltage": fails_with(FaultCode.UNDERVOLTAGE),
-    "automatic-release": while_moving(lambda b: b.model.release_automatically()),
+    "automatic-release": Fault(provoke=while_moving(lambda b: b.model.release_automatically())),
     "internal-fault": fails_with(FaultCode.INTERNAL),
     "activation-failed": fails_with(FaultCode.ACTIVATION),
     "overcurrent": fails_with(FaultCode.OVERCURRENT),
 }
 
 
-def test_the_table_and_the_gripper_scenarios_are_the_same() -> None:
-    assert [row.fault for row in GRIPPER] == list(GRIPPER_SCENARIOS)
+def wires(row: Row) -> Sequence[str]:
+    return WIRES if row.on == ("any",) else row.on
 
 
-SLOW = ("mute-while-moving", "power-lost-while-moving")  # every attempt to stop it waits, too
-
-
+@pytest.mark.slow
+@pytest.mark.real_time
 @pytest.mark.parametrize(
-    ("row", "wire"),
+    ("name", "wire"),
     [
-        pytest.param(
-            row,
-            wire,
-            id=f"{row.fault}-{wire}",
-            marks=[pytest.mark.slow] if row.fault in SLOW else [],
-        )
-        for row in GRIPPER
-        for wire in row.wires
+        pytest.param(name, wire, id=f"{name}-{wire}")
+        for name in GRIPPER_FAULTS
+        for wire in wires(table()[name])
     ],
 )
-def test_gripper(row: Row, wire: str) -> None:
-    with bench_on(wire) as bench:
-        bench.gripper.connect()
-        with pytest.raises(row.raised) as raised:
-            GRIPPER_SCENARIOS[row.fault](bench)
-        assert type(raised.value) is row.raised
-        assert row.says in str(raised.value)
+def test_gripper(name: str, wire: str, arm: FakeArm, tmp_path: Path) -> None:
+    fault = GRIPPER_FAULTS[name]
+    with bench_on(wire) as bench, ExitStack() as open_cells:
+        fault.before(bench)
+        cell = Cell(
+            config=config(),
+            camera=StillCamera(bench.clock),
+            arm=arm,
+            gripper=bench.gripper,
+            clock=bench.clock,
+        )
+        check(table()[name], cell, arm, lambda: fault.provoke(bench), tmp_path, open_cells)
         comes_to_rest(bench)
 
 
@@ -217,63 +225,67 @@ def comes_to_rest(bench: Bench) -> None:
 # --- camera -----------------------------------------------------------------------------------
 
 
-def captured(fault: Callable[..., object]) -> Callable[[pytest.MonkeyPatch], None]:
-    def scenario(_patch: pytest.MonkeyPatch) -> None:
-        with emulated(Scene()) as (camera, source):
-            source.fault = fault  # type: ignore[assignment]
+@dataclass(frozen=True, kw_only=True)
+class Eye:
+    """A camera, and what makes it fail once it is connected; nothing where connecting does."""
+
+    camera: RealsenseCamera
+    act: Callable[[], object] = lambda: None
+
+
+def eye(source: RealsenseSource | None = None, **fields: object) -> Eye:
+    section = config().camera.model_copy(update=fields)
+    return Eye(camera=RealsenseCamera(section, clock=MachineClock(), source=source, warm_up=0.0))
+
+
+def captured(fault: CameraFault) -> Callable[[pytest.MonkeyPatch], Eye]:
+    def make(_: pytest.MonkeyPatch) -> Eye:
+        source = EmulatedD435(picture)
+        camera = eye(source).camera
+
+        def act() -> None:
+            source.fault = fault
             camera.capture(deadline=0.5)
 
-    return scenario
+        return Eye(camera=camera, act=act)
+
+    return make
 
 
-def connected(**fields: object) -> None:
-    camera = RealsenseCamera(section(**fields), clock=MachineClock())
-    try:
-        camera.connect()
-    finally:
-        camera.close()
-
-
-def no_library(patch: pytest.MonkeyPatch) -> None:
+def no_library(patch: pytest.MonkeyPatch) -> Eye:
     patch.setitem(sys.modules, "pyrealsense2", None)
-    connected()
+    return eye()
 
 
-def another_camera(_patch: pytest.MonkeyPatch) -> None:
-    with emulated(Scene(), serial="111"):
-        pass
-
-
-def another_size(_patch: pytest.MonkeyPatch) -> None:
-    with emulated(Scene(replace(INTRINSICS, width=320, height=240))):
-        pass
-
-
-def dead_at_start(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("tdpg_deploy.drivers.realsense.FIRST_FRAME_LIMIT", 0.3)
-    source = EmulatedD435(Scene().frame)
+def dead_at_start(patch: pytest.MonkeyPatch) -> Eye:
+    patch.setattr(realsense, "FIRST_FRAME_LIMIT", 0.3)
+    source = EmulatedD435(picture)
     source.fault = stalled
-    try:
-        RealsenseCamera(section(), clock=MachineClock(), source=source).connect()
-    finally:
-        assert source.resets == 1
+    return eye(source)
 
 
-def unplugged(_patch: pytest.MonkeyPatch) -> None:
-    with emulated(Scene()) as (camera, source):
+def unplugged(_: pytest.MonkeyPatch) -> Eye:
+    source = EmulatedD435(picture)
+    camera = eye(source).camera
+
+    def act() -> None:
         source.unplug()
         camera.capture()
 
-
-def odd_distortion(_patch: pytest.MonkeyPatch) -> None:
-    to_intrinsics(SimpleNamespace(model="distortion.ftheta", coeffs=[0.1, 0.0, 0.0, 0.0, 0.0]))
+    return Eye(camera=camera, act=act)
 
 
-CAMERA_SCENARIOS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
-    "no-camera": lambda _: connected(serial="000000000000"),
+def odd_distortion(patch: pytest.MonkeyPatch) -> Eye:
+    fisheye = SimpleNamespace(model="distortion.ftheta", coeffs=[0.1, 0.0, 0.0, 0.0, 0.0])
+    patch.setattr(realsense, "to_intrinsics", lambda _: to_intrinsics(fisheye))
+    return eye(EmulatedD435(picture))
+
+
+CAMERA_FAULTS: dict[str, Callable[[pytest.MonkeyPatch], Eye]] = {
+    "no-camera": lambda _: eye(serial="000000000000"),
     "no-library": no_library,
-    "another-camera": another_camera,
-    "another-size": another_size,
+    "another-camera": lambda _: eye(EmulatedD435(picture), serial="111"),
+    "another-size": lambda _: eye(EmulatedD435(picture), width=1280),
     "dead-at-start": dead_at_start,
     "stalled": captured(stalled),
     "unplugged": unplugged,
@@ -281,22 +293,25 @@ CAMERA_SCENARIOS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
     "torn": captured(torn(0.2)),
     "depth-lost": captured(depth_lost),
     "blind": captured(holes(1.0)),
-    "no-recording": lambda _: connected(recording="/nowhere/cell.db3"),
+    "no-recording": lambda _: eye(recording="/nowhere/cell.db3"),
     "odd-distortion": odd_distortion,
 }
 
 
-def test_the_table_and_the_camera_scenarios_are_the_same() -> None:
-    assert [row.fault for row in CAMERA] == list(CAMERA_SCENARIOS)
-    assert len(GRIPPER) + len(CAMERA) >= 20
-
-
-@pytest.mark.parametrize("row", CAMERA, ids=lambda row: row.fault)
-def test_camera(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(row.raised) as raised:
-        CAMERA_SCENARIOS[row.fault](monkeypatch)
-    assert type(raised.value) is row.raised
-    assert row.says in str(raised.value)
+@pytest.mark.slow
+@pytest.mark.real_time
+@pytest.mark.parametrize("name", CAMERA_FAULTS)
+def test_camera(name: str, arm: FakeArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    it = CAMERA_FAULTS[name](monkeypatch)
+    cell = Cell(
+        config=config(),
+        camera=it.camera,
+        arm=arm,
+        gripper=FakeGripper(arm.table),
+        clock=MachineClock(),
+    )
+    with ExitStack() as open_cells:
+        check(table()[name], cell, arm, it.act, tmp_path, open_cells)
 
 
 def test_a_partly_blind_camera_still_serves() -> None:

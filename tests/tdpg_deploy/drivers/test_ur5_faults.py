@@ -1,11 +1,9 @@
-"""Every row of docs/faults.md, injected."""
+"""Every row of docs/faults.md about the arm, its network and its operator, injected."""
 
 from __future__ import annotations
 
-import builtins
 import functools
 import os
-import re
 import signal
 import socket
 import threading
@@ -18,6 +16,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import pytest
+from fault_table import Deed, StillCamera, check_log, config, strike, table
+from kinematic_cell import FakeGripper, Table
 from ur_rig import (
     PacedClock,
     arm_section,
@@ -27,43 +27,18 @@ from ur_rig import (
     wait_until,
 )
 
-from tdpg_deploy import errors, kinematics
-from tdpg_deploy.drivers import ur5_status
+from tdpg_deploy import kinematics
+from tdpg_deploy.cell import Cell
 from tdpg_deploy.drivers.ur5 import UrArm
 from tdpg_deploy.drivers.ur5_network import SCRIPT_PORT
 from tdpg_deploy.emulators.ur_controller.process import ControllerProcess
 from tdpg_deploy.geometry import Array, Transform, top_down
-from tdpg_deploy.hal import ArmState
+from tdpg_deploy.hal import ArmState, OnArmState
 
-TABLE = Path(__file__).parents[3] / "docs" / "faults.md"
 PACES = {"cb3": 4.0, "e-series": 2.0}  # the latter computes four times as often
 STILL = 1e-6  # rad/s
 Command: TypeAlias = "str | tuple[str, float]"
 Controllers: TypeAlias = Callable[[str], tuple[str, ControllerProcess]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    fault: str
-    on: str
-    raised: type[BaseException]
-    says: str
-
-
-def rows() -> list[Row]:
-    """One for each controller that a line of the page names."""
-    found = []
-    for line in TABLE.read_text(encoding="utf-8").splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
-        if line[:2] == "| " and cells[0] != "fault":
-            fault, _, controllers, raised, says, _ = cells
-            sources = (errors, ur5_status, builtins)
-            kind = next(getattr(source, raised) for source in sources if hasattr(source, raised))
-            found += [
-                Row(fault=fault, on=controller, raised=kind, says=says)
-                for controller in controllers.split(", ")
-            ]
-    return found
 
 
 # --- an arm to do harm to ---------------------------------------------------------------------
@@ -71,7 +46,10 @@ def rows() -> list[Row]:
 
 @dataclass
 class Rig:
-    """An emulated controller, a driver on it, and a way there and back."""
+    """An emulated controller, a driver on it, and a way there and back.
+
+    record: takes what a motion measures to the log.
+    """
 
     host: str
     clock: PacedClock
@@ -79,6 +57,20 @@ class Rig:
     arm: UrArm
     start: Array
     patch: pytest.MonkeyPatch
+    record: OnArmState = lambda state: None
+
+    def cell(self) -> Cell:
+        """Of this arm and others' doubles; home is where the arm stands, so that nothing moves
+        before the fault."""
+        cell = config()
+        arm = cell.arm.model_copy(update={"host": self.host, "home": tuple(self.start.tolist())})
+        return Cell(
+            config=cell.model_copy(update={"arm": arm}),
+            camera=StillCamera(self.clock),
+            arm=self.arm,
+            gripper=FakeGripper(Table(cell)),
+            clock=self.clock,
+        )
 
     @property
     def goal(self) -> Array:
@@ -93,8 +85,14 @@ class Rig:
         deadline: float = 60.0,
     ) -> None:
         """A radian with the base, or what is left of it."""
+
+        def watch(state: ArmState) -> None:
+            self.record(state)
+            if on_state is not None:
+                on_state(state)
+
         self.arm.move_joints(
-            self.goal, speed=speed, acceleration=5.0, deadline=deadline, on_state=on_state
+            self.goal, speed=speed, acceleration=5.0, deadline=deadline, on_state=watch
         )
 
     def do(self, *commands: Command) -> None:
@@ -145,11 +143,11 @@ def controllers() -> Iterator[Controllers]:
 
 
 @pytest.fixture
-def rig(row: Row, controllers: Controllers, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+def rig(on: str, controllers: Controllers, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
     """The arm at rest, driver not connected."""
-    host, robot = controllers(row.on)
+    host, robot = controllers(on)
     robot.do("reset")
-    clock = PacedClock(PACES.get(row.on, 1.0))
+    clock = PacedClock(PACES.get(on, 1.0))
     arm = UrArm(arm_section(host), clock=clock)
     q = np.array(robot.do("truth")["q"])
     yield Rig(host=host, clock=clock, robot=robot, arm=arm, start=q, patch=monkeypatch)
@@ -162,24 +160,21 @@ def rig(row: Row, controllers: Controllers, monkeypatch: pytest.MonkeyPatch) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """provoke: raises. mend: what a person does. then: what it takes to move again."""
+    """before: done before the cell is opened. provoke: raises, in an episode; None where opening
+    does. mend: what a person does. then: what it takes to move again."""
 
-    provoke: Callable[[Rig], object]
+    before: Callable[[Rig], object] = lambda rig: None
+    provoke: Callable[[Rig], object] = lambda rig: None
     mend: tuple[Command, ...] = ()
     then: Literal["recover", "move", "nothing"] = "recover"
 
 
-def at_connect(*commands: Command) -> Callable[[Rig], None]:
-    def provoke(rig: Rig) -> None:
-        rig.do(*commands)
-        rig.arm.connect()
-
-    return provoke
+def commanded(*commands: Command) -> Callable[[Rig], None]:
+    return lambda rig: rig.do(*commands)
 
 
 def at_rest(*commands: Command) -> Callable[[Rig], None]:
     def provoke(rig: Rig) -> None:
-        rig.arm.connect()
         rig.do(*commands)
         rig.move()
 
@@ -190,7 +185,6 @@ def under_way(act: Callable[[Rig], object]) -> Callable[[Rig], None]:
     """The deed happens once, when the arm moves."""
 
     def provoke(rig: Rig) -> None:
-        rig.arm.connect()
         todo = [act]
 
         def on_state(state: ArmState) -> None:
@@ -217,48 +211,46 @@ def another_model(rig: Rig) -> None:
 
     forward = kinematics.forward
     rig.patch.setattr(kinematics, "forward", taller)  # as a UR5e, by its d1
-    rig.arm.connect()
 
 
 def second_driver(rig: Rig) -> None:
-    rig.arm.connect()
     UrArm(arm_section(rig.host), clock=rig.clock).connect()
 
 
 def another_program(rig: Rig) -> None:
-    rig.arm.connect()
     with socket.create_connection((rig.host, SCRIPT_PORT), timeout=2.0) as connection:
         connection.sendall(b"def other():\n  while True:\n    sync()\n  end\nend\n")
         wait_until(lambda: rig.robot.do("truth")["program"] == "other")
     rig.move()
 
 
+def not_connected(rig: Rig) -> None:
+    arm = UrArm(arm_section(rig.host), clock=rig.clock)
+    arm.move_joints(rig.goal, speed=0.4, acceleration=5.0, deadline=60.0)
+
+
 def out_of_reach(rig: Rig) -> None:
-    rig.arm.connect()
     rig.arm.move_linear(top_down(1.5, 0, 0, 0), speed=0.1, acceleration=1.0, deadline=5.0)
 
 
 def joints_by(change: float, speed: float) -> Callable[[Rig], None]:
     def provoke(rig: Rig) -> None:
-        rig.arm.connect()
         rig.arm.move_joints(rig.start + change, speed=speed, acceleration=1.0, deadline=5.0)
 
     return provoke
 
 
 def unlocked_too_soon(rig: Rig) -> None:
-    rig.arm.connect()
     rig.do("protective_stop")
     rig.arm.recover(deadline=1.0)
 
 
 def collision(rig: Rig) -> None:
     """Leaves the tool pressed on the table: the joints must not be turned from there."""
-    rig.arm.connect()
     above = rig.arm.state().X_base_tool
     down = Transform(above.rotation, np.array([*above.translation[:2], -0.20]))
     try:
-        rig.arm.move_linear(down, speed=0.25, acceleration=1.2, deadline=10.0)
+        rig.arm.move_linear(down, speed=0.25, acceleration=1.2, deadline=10.0, on_state=rig.record)
     finally:
         rig.start = rig.comes_to_rest()
 
@@ -270,12 +262,10 @@ def drive_up(rig: Rig) -> None:
 
 
 def too_slow(rig: Rig) -> None:
-    rig.arm.connect()
     rig.move(deadline=0.5)
 
 
 def slider_low(rig: Rig) -> None:
-    rig.arm.connect()
     rig.do(("speed_slider", 0.05))
     rig.move(deadline=4.0)
 
@@ -286,19 +276,19 @@ def caller_fails(rig: Rig) -> None:
 
 RELEASED = ("release_stop", "power_on")
 FAULTS = {
-    "not-reachable": Fault(provoke=at_connect("unplug"), mend=("plug_in",)),
-    "silent-at-connect": Fault(provoke=at_connect("freeze"), mend=("thaw",)),
-    "old-cb3-software": Fault(provoke=at_connect(), then="nothing"),
-    "old-e-series-software": Fault(provoke=at_connect(), then="nothing"),
-    "another-model": Fault(provoke=another_model, then="nothing"),
-    "registers-in-use": Fault(provoke=at_connect("start_fieldbus"), mend=("stop_fieldbus",)),
+    "not-reachable": Fault(before=commanded("unplug"), mend=("plug_in",)),
+    "silent-at-connect": Fault(before=commanded("freeze"), mend=("thaw",)),
+    "old-cb3-software": Fault(then="nothing"),
+    "old-e-series-software": Fault(then="nothing"),
+    "another-model": Fault(before=another_model, then="nothing"),
+    "registers-in-use": Fault(before=commanded("start_fieldbus"), mend=("stop_fieldbus",)),
     "second-driver": Fault(provoke=second_driver, then="move"),
-    "local-at-connect": Fault(provoke=at_connect("local_control"), mend=("remote_control",)),
-    "program-refused": Fault(provoke=at_connect("local_control"), mend=("remote_control",)),
-    "protective-stop-at-connect": Fault(provoke=at_connect("protective_stop")),
-    "emergency-stop-at-connect": Fault(provoke=at_connect("emergency_stop"), mend=RELEASED),
-    "power-off-at-connect": Fault(provoke=at_connect("power_off"), mend=("power_on",)),
-    "not-connected": Fault(provoke=Rig.move),
+    "local-at-connect": Fault(before=commanded("local_control"), mend=("remote_control",)),
+    "program-refused": Fault(before=commanded("local_control"), mend=("remote_control",)),
+    "protective-stop-at-connect": Fault(before=commanded("protective_stop")),
+    "emergency-stop-at-connect": Fault(before=commanded("emergency_stop"), mend=RELEASED),
+    "power-off-at-connect": Fault(before=commanded("power_off"), mend=("power_on",)),
+    "not-connected": Fault(provoke=not_connected, then="move"),
     "protective-stop-at-rest": Fault(provoke=at_rest("protective_stop")),
     "power-off-at-rest": Fault(provoke=at_rest("power_off"), mend=("power_on",)),
     "slider-zero-at-rest": Fault(
@@ -338,28 +328,33 @@ FAULTS = {
 }
 
 
-def test_every_row_is_injected() -> None:
-    assert [*dict.fromkeys(row.fault for row in rows())] == [*FAULTS]
-
-
 @pytest.mark.slow
 @pytest.mark.real_time
-@pytest.mark.parametrize("row", rows(), ids=lambda row: f"{row.fault}-{row.on}")
-def test_fault(row: Row, rig: Rig) -> None:
-    fault = FAULTS[row.fault]
-    with pytest.raises(row.raised) as caught:
-        fault.provoke(rig)
-    assert type(caught.value) is row.raised
-    assert re.search(row.says, str(caught.value))
-    stopped_at = rig.comes_to_rest()
-    assert abs(stopped_at[0] - rig.goal[0]) > 0.05, "the fault came too late to matter"
-    rig.do(*fault.mend)
-    rig.stays_at(stopped_at)
-    if fault.then == "recover":
-        rig.arm.recover()
+@pytest.mark.parametrize(
+    ("name", "on"),
+    [pytest.param(name, on, id=f"{name}-{on}") for name in FAULTS for on in table()[name].on],
+)
+def test_fault(name: str, rig: Rig, tmp_path: Path) -> None:
+    fault, row, log = FAULTS[name], table()[name], tmp_path / "episode.mcap"
+    before = rig.q()
+    fault.before(rig)
+    deed = Deed(lambda: fault.provoke(rig))
+    rig.record = lambda state: deed.record(state)
+    with ExitStack() as open_cells:
+        raised = strike(rig.cell(), deed, log, open_cells)
+        assert type(raised) is row.raised
+        assert row.is_told_by(str(raised))
+        stopped_at = rig.comes_to_rest()
+        check_log(log, row, raised)
+        assert (np.abs(stopped_at - before).max() > 1e-3) == (row.arm == "stops")
+        assert abs(stopped_at[0] - rig.goal[0]) > 0.05, "the fault came too late to matter"
+        rig.do(*fault.mend)
         rig.stays_at(stopped_at)
-    if row.fault == "collision":
-        drive_up(rig)
-    elif fault.then != "nothing":
-        rig.move(speed=2.0)
-        np.testing.assert_allclose(rig.q(), rig.goal, atol=1e-3)
+        if fault.then == "recover":
+            rig.arm.recover()
+            rig.stays_at(stopped_at)
+        if name == "collision":
+            drive_up(rig)
+        elif fault.then != "nothing":
+            rig.move(speed=2.0)
+            np.testing.assert_allclose(rig.q(), rig.goal, atol=1e-3)

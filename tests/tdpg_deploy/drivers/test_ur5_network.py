@@ -14,7 +14,7 @@ from ur_rig import new_host
 from tdpg_deploy.drivers import ur5_network
 from tdpg_deploy.drivers.ur5_network import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
 from tdpg_deploy.drivers.ur5_status import ControllerVersion, RobotMode, SafetyMode
-from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable
+from tdpg_deploy.errors import ArmError, DeviceTimeout, DeviceUnreachable
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 
@@ -98,6 +98,54 @@ def test_version() -> None:
         assert ur5_network.ask_version(host) == ControllerVersion(
             major=5, minor=11, bugfix=1, build=108318
         )
+
+
+def rtde(*answers: bytes) -> Callable[[socket.socket], None]:
+    """One answer a request."""
+
+    def talk(client: socket.socket) -> None:
+        for answer in answers:
+            client.recv(100)
+            client.sendall(answer)
+        client.recv(100)  # until the asker has read it all, and hangs up
+
+    return talk
+
+
+ACCEPTED = bytes.fromhex("0004 56 01")
+VERSION = struct.pack(">HB4I", 19, ord("v"), 3, 15, 8, 106339)
+
+
+def test_text_messages_may_come_before_an_answer() -> None:
+    text = bytes.fromhex("000a 4d 02 6869 02 5552 00")
+    with peer(RTDE_PORT, rtde(text + ACCEPTED, text + VERSION)) as host:
+        assert str(ur5_network.ask_version(host)) == "3.15.8.106339"
+
+
+def test_controller_that_is_too_old_for_the_protocol() -> None:
+    with (
+        peer(RTDE_PORT, rtde(bytes.fromhex("0004 56 00"))) as host,
+        pytest.raises(ArmError, match="does not speak version 2 of RTDE: update"),
+    ):
+        ur5_network.ask_version(host)
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        [b"HTTP/1.1 400 Bad Request\r\n\r\n"],
+        [bytes.fromhex("0002 56")],
+        [ACCEPTED, VERSION[:2] + b"x" + VERSION[3:]],
+        [ACCEPTED, bytes.fromhex("0005 76 0003")],
+    ],
+    ids=["another service", "shorter than a header", "another kind", "another size"],
+)
+def test_peer_that_is_no_controller(answers: list[bytes]) -> None:
+    with (
+        peer(RTDE_PORT, rtde(*answers)) as host,
+        pytest.raises(DeviceUnreachable, match=r"no UR controller would: is arm\.host right"),
+    ):
+        ur5_network.ask_version(host)
 
 
 def test_nobody_listens() -> None:

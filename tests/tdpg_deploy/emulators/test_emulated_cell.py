@@ -93,7 +93,7 @@ def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Pa
         ("emergency_stop", "reset", "EmergencyStop"),
         ("freeze", "reset", "DeviceUnreachable"),
         ("gripper_mute", "gripper_speak", "DeviceTimeout"),
-        ("camera_stall", "camera_resume", "CameraError"),
+        ("camera_stall", "camera_resume", "DeviceTimeout"),
     ],
 )
 def test_a_fault_stops_the_arm_and_closes_the_log(

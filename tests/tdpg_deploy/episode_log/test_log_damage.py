@@ -9,10 +9,8 @@ import contextlib
 import io
 import os
 import struct
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Chunk, Message, Metadata
 from mcap.writer import MCAP0_MAGIC, Writer
+from rewritten_log import rewrite
 from synthetic_episode import Synthetic, write
 
 from tdpg_deploy.episode_log import about
@@ -132,34 +131,8 @@ def test_hostile_contents_in_a_sound_file(whole: Path, tmp_path: Path, batch: in
         path.unlink()
 
 
-def sometimes_mutate(data: bytes, rng: np.random.Generator) -> bytes:
+def sometimes_mutate(_: str, data: bytes, rng: np.random.Generator) -> bytes:
     return mutate(data, rng) if rng.random() < 0.1 else data
-
-
-def rewrite(source: IO[bytes], file: IO[bytes], change: Callable[[bytes], bytes]) -> None:
-    """A log like `source` with changed contents."""
-    writer = Writer(file)
-    writer.start()
-    reader = make_reader(source)
-    for metadata in reader.iter_metadata():
-        writer.add_metadata(
-            metadata.name,
-            {k: change(v.encode() or b"-").decode(errors="replace") for k, v in
-             metadata.metadata.items()},
-        )  # fmt: skip
-    for a in reader.iter_attachments():
-        writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, change(a.data))
-    numbers: dict[int, int] = {}
-    for schema, channel, message in reader.iter_messages(log_time_order=False):
-        assert schema is not None
-        if channel.id not in numbers:
-            number = writer.register_schema(schema.name, schema.encoding, schema.data)
-            numbers[channel.id] = writer.register_channel(
-                channel.topic, channel.message_encoding, number
-            )
-        data = change(message.data)
-        writer.add_message(numbers[channel.id], message.log_time, data, message.publish_time)
-    writer.finish()  # type: ignore[no-untyped-call]
 
 
 # --- what each kind of damage is called -------------------------------------------------------
