@@ -29,7 +29,9 @@ class TwoTowerNet(Network):
     """
 
     STRIDE = 32
-    PATCH = 320  # a whole picture, moved so that the action is in the middle
+    # It looks further than a picture, and learns from all that is seen within 32 cm of an action,
+    # wherever in the picture it decides on that lies.
+    PATCH = 320
 
     def __init__(self, *, goal: bool) -> None:
         super().__init__()
@@ -52,18 +54,6 @@ class TwoTowerNet(Network):
     def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         logits: torch.Tensor = self.evaluation_net(features, places)
         return logits
-
-    def at(
-        self, patches: torch.Tensor, places: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Its receptive field is larger than a picture, so it learns from all that is seen within
-        32 cm of the action, wherever in the picture it decides on that lies."""
-        maps = self(patches)
-        return (
-            sample(maps.push, places)[:, 0],
-            sample(maps.grasp, places)[:, 0],
-            self.evaluate(maps.features, places),
-        )
 
     def load_imagenet(self, weights: Mapping[str, torch.Tensor]) -> None:
         """Begin both towers with torchvision's densenet121 state dict."""

@@ -259,7 +259,7 @@ def _imagenet(path: Path) -> dict[str, torch.Tensor]:
     try:
         weights: dict[str, torch.Tensor] = torch.load(path, map_location="cpu", weights_only=True)
         DenseNet121().load_imagenet(weights)
-    except (OSError, RuntimeError, UnpicklingError, AttributeError, ValueError) as error:
+    except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError) as error:
         raise ConfigError(f"{path}: not torchvision's densenet121 weights: {error}") from error
     return weights
 
