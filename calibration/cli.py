@@ -89,13 +89,15 @@ def _add_collect(p: argparse.ArgumentParser) -> None:
     p.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock cell)")
     p.add_argument("--record", type=Path, default=Path("calibration.mcap"), metavar="FILE")
     _add_mounting(p)
-    guesses = {
+    poses = {
         "--board-pose": "first guess: the held board in the tool; with eye-in-hand, the board on "
         "the table in base; m, rad",
         "--camera-pose": "first guess: the camera in base, or in the tool (default: the cell "
         "file's, in base)",
+        "--paint-board": "simulated cells: where the board really is; it is painted into the "
+        "pictures",
     }
-    for name, meaning in guesses.items():
+    for name, meaning in poses.items():
         axes = ("X", "Y", "Z", "RX", "RY", "RZ")
         p.add_argument(name, type=float, nargs=6, metavar=axes, help=meaning)
     p.add_argument("--goal", type=float, default=1e-4, metavar="M", help="predicted error")

@@ -11,8 +11,9 @@ from rich.live import Live
 
 from calibration.approach import Approach
 from calibration.board_arguments import target_of
+from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.collect import collect, collect_by_hand
-from calibration.collection import Plan, Progress
+from calibration.collection import Devices, Plan, Progress
 from calibration.consent import ask_consent
 from calibration.detect import self_test
 from calibration.live import draw, panel, write_picture
@@ -52,6 +53,7 @@ def run_collect(args: argparse.Namespace, console: Console) -> int:
             goal=args.goal,
         )
         approach, path = Approach(config, cell.arm), args.record
+        devices = cell if args.paint_board is None else _with_board(cell, args, plan, config)
         with Live(console=console, auto_refresh=False) as live:
 
             def tell(progress: Progress) -> None:
@@ -61,9 +63,9 @@ def run_collect(args: argparse.Namespace, console: Console) -> int:
             if args.by_hand:
                 ask = _asker(console, live)
                 reach, hides = approach.reach_by_hand, approach.hides
-                collect_by_hand(cell, reach, hides, plan, path, rng, tell, ask)
+                collect_by_hand(devices, reach, hides, plan, path, rng, tell, ask)
             else:
-                collect(cell, approach, plan, path, rng, tell)
+                collect(devices, approach, plan, path, rng, tell)
     console.print(f"{path}: solve it with tdpg-calibrate solve --record {path}")
     return 0
 
@@ -107,6 +109,19 @@ def workspace_points(
     rays = [(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)]
     p_camera: Array = (z[..., None] * np.stack(rays, axis=-1)).reshape(-1, 3)
     return X_parent_camera @ p_camera
+
+
+def _with_board(cell: Devices, args: argparse.Namespace, plan: Plan, config: CellConfig) -> Devices:
+    """A simulated cell that sees a board where --paint-board says."""
+    in_base = plan.setup.mounting is Mounting.EYE_TO_HAND
+    true_pose = config.simulation.X_base_camera or config.camera.X_base_camera
+    board = PaintedBoard(
+        mounting=plan.setup.mounting,
+        target=plan.target,
+        X_parent_camera=true_pose.transform() if in_base else plan.guess.X_parent_camera,
+        X_parent_board=Transform.from_rotation_vector(args.paint_board),
+    )
+    return BoardCell(cell.camera, cell.arm, cell.clock, board)
 
 
 def _asker(console: Console, live: Live) -> Callable[[], bool]:

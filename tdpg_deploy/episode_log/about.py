@@ -81,8 +81,8 @@ def from_metadata(
     attachments: Mapping[str, bytes],
 ) -> About:
     """Raises LogError."""
-    check_version(metadata)
     try:
+        check_version(metadata)
         scene = attachments.get(SCENE)
         seed = metadata.get("seed")
         return About(

@@ -23,6 +23,7 @@ SCALE = 2  # screen pixels a heightmap pixel
 WHITE = (255, 255, 255)
 BLACK = (0, 0, 0)
 GOAL = (0, 230, 230)
+FAR = 100.0  # m, and rad: nothing is drawn of an action beyond
 _SUBPIXEL = 4  # bits; OpenCV draws with fixed-point coordinates
 
 
@@ -72,6 +73,9 @@ def draw_goal(picture: Picture, goal: npt.NDArray[np.bool_]) -> None:
 
 def draw_action(picture: Picture, primitive: Primitive, workspace: Workspace) -> None:
     """Draw into (n, n, 3) RGB: an arrow for a push, two fingers and their line for a grasp."""
+    length = primitive.length if isinstance(primitive, Push) else 0.0
+    if not np.all(np.abs([primitive.x, primitive.y, primitive.yaw, length]) < FAR):
+        return  # a log may hold any number
     direction = np.array([np.cos(primitive.yaw), np.sin(primitive.yaw)])
     p_base = np.array([primitive.x, primitive.y])
     if isinstance(primitive, Push):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TypeAlias
 
@@ -229,6 +230,8 @@ def _tool_point(parts: _Parts, closing: Message) -> ToolPoint | None:
     p_base = messages.decode_translation(transforms, channels.TOOL)
     if p_base is None:
         return None
+    if not all(map(isfinite, (*p_base, document.stamp))):
+        raise LogError(f"the tool at {p_base} at {document.stamp} s is nowhere")
     return ToolPoint(p_base=p_base, force=document.norm, stamp=document.stamp)
 
 

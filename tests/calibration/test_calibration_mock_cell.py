@@ -14,13 +14,13 @@ from board_in_cell import (
     X_BASE_BOARD,
     X_TOOL_BOARD,
     X_TOOL_CAMERA,
-    BoardCell,
     moved,
     with_true_camera,
     workspace_grid,
 )
 
 from calibration.approach import Approach
+from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.cli import main
 from calibration.collect import collect, collect_by_hand
 from calibration.collection import Plan, Progress, view_of
@@ -32,6 +32,7 @@ from calibration.views import Mounting
 from tdpg_deploy.calibration_file import load_calibration
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.emulators.cell_file import format_cell
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Transform
 
@@ -46,7 +47,13 @@ class Interrupted(Exception):
 
 
 def held_board(cell: Cell) -> BoardCell:
-    return BoardCell(cell.camera, cell.arm, cell.clock, Mounting.EYE_TO_HAND, X_TRUE)
+    board = PaintedBoard(
+        mounting=Mounting.EYE_TO_HAND,
+        target=TARGET,
+        X_parent_camera=X_TRUE,
+        X_parent_board=X_TOOL_BOARD,
+    )
+    return BoardCell(cell.camera, cell.arm, cell.clock, board)
 
 
 def plan_for(
@@ -123,7 +130,13 @@ def test_a_camera_on_the_tool(tmp_path: Path) -> None:
     camera, board = moved(X_TOOL_CAMERA, 0.01, 2.0), moved(X_BASE_BOARD, 0.02, 2.0)
     with open_cell(SMALL) as cell:
         plan = plan_for(SMALL, Mounting.EYE_IN_HAND, cell, camera, board)
-        devices = BoardCell(cell.camera, cell.arm, cell.clock, Mounting.EYE_IN_HAND, X_TOOL_CAMERA)
+        lying = PaintedBoard(
+            mounting=Mounting.EYE_IN_HAND,
+            target=TARGET,
+            X_parent_camera=X_TOOL_CAMERA,
+            X_parent_board=X_BASE_BOARD,
+        )
+        devices = BoardCell(cell.camera, cell.arm, cell.clock, lying)
         approach = Approach(CONFIG, cell.arm)
         collect(devices, approach, plan, path, np.random.default_rng(0), lambda _: None)
     out = tmp_path / "calibration.yaml"
@@ -172,21 +185,39 @@ def test_by_hand(tmp_path: Path) -> None:
     assert len(seen[-1].views) == len(record.views) - 1
 
 
-def test_collect_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The mock cell shows no board: what is seen is said, and drawn."""
-    record = tmp_path / "views.mcap"
-    board = [str(v) for v in X_TOOL_BOARD.as_rotation_vector()]
-    arguments = ["collect", "--record", str(record), "--seed", "1"]
+@pytest.mark.slow
+def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell, record = tmp_path / "cell.toml", tmp_path / "views.mcap"
+    cell.write_text(format_cell(SMALL))
+    held = [str(v) for v in X_TOOL_BOARD.as_rotation_vector()]
+    guess = [str(v) for v in moved(X_TOOL_BOARD, 0.01, 1.0).as_rotation_vector()]
+    board = ["--columns", "7", "--rows", "5", "--square", "0.024", "--marker", "0.018"]
+    arguments = ["collect", "--config", str(cell), "--record", str(record), *board]
     assert main(arguments) == 2
     assert "give --board-pose" in capsys.readouterr().out
-    assert main([*arguments, "--mounting", "eye-in-hand", "--board-pose", *board]) == 2
+    assert main([*arguments, "--mounting", "eye-in-hand", "--board-pose", *held]) == 2
     assert "give --camera-pose" in capsys.readouterr().out
-    assert main([*arguments, "--board-pose", *board]) == 2
+    assert main([*arguments, "--board-pose", *guess, "--paint-board", *held]) == 0
     said = capsys.readouterr().out
-    assert "no board: no marker is seen" in said
-    assert "12 pictures could not be used" in said.replace("\n", " ")
+    assert "predicted error" in said
+    assert "goal 0.100 mm" in said
     picture = cv2.imread(str(record.with_suffix(".png")))
     assert picture is not None
-    assert picture.shape == (720, 1280, 3)
-    assert main(["solve", "--record", str(record)]) == 2
-    assert "in none of the 12 pictures" in capsys.readouterr().out.replace("\n", " ")
+    assert picture.shape == (480, 640, 3)
+    out = tmp_path / "calibration.yaml"
+    files = ["--record", str(record), "--out", str(out), "--report", str(tmp_path / "page.html")]
+    assert main(["solve", *files]) == 0
+    assert "tdpg-run will not notice a moved camera" in " ".join(capsys.readouterr().out.split())
+    assert load_calibration(out).pose.transform().distance(X_TRUE)[0] < 0.3e-3
+
+
+def test_a_board_that_is_not_there_is_said(tmp_path: Path) -> None:
+    """The mock cell shows none, unless one is painted."""
+    path = tmp_path / "views.mcap"
+    with open_cell(SMALL) as cell:
+        plan, approach = held_board_plan(cell), Approach(SMALL, cell.arm)
+        seen: list[Progress] = []
+        with pytest.raises(CalibrationError, match="12 pictures could not be used"):
+            collect(cell, approach, plan, path, np.random.default_rng(0), seen.append)
+    assert seen[-1].problems[0].startswith("no board")
+    assert main(["solve", "--record", str(path)]) == 2

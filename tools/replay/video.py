@@ -20,6 +20,7 @@ Picture = npt.NDArray[np.uint8]
 Color = tuple[int, int, int]
 
 FPS = 15
+LONGEST = 600.0  # s of a motion that are shown
 HOLD = 1.0  # s of the video before and after each motion
 WIDTH, HEIGHT = 1280, 720
 TOP = 56  # of the pictures
@@ -90,7 +91,7 @@ def _step(step: Step, title: str, speed: float) -> Iterator[Picture]:
     yield from [decided] * held
     if step.tool_path:
         started, ended = step.tool_path[0].stamp, step.tool_path[-1].stamp
-        for at in range(int((ended - started) / speed * FPS)):
+        for at in range(int(min(ended - started, LONGEST) / speed * FPS)):
             yield _with_traces(decided, step, started + at / FPS * speed)
         yield from [_with_traces(_with_lines(page, [*before, *after]), step, ended)] * held
 

@@ -53,6 +53,7 @@ def test_poses_of_a_cell_come_back_to_the_last_bit(q: npt.NDArray[np.float64]) -
         ({}, {}, "without a schema version"),
         ({"schema_version": "-1"}, {}, "without a schema version"),
         ({"schema_version": "2"}, {}, "newer than 1"),
+        ({"schema_version": "9" * 5000}, {}, "cannot be read"),
         ({"schema_version": "1"}, {}, "'cell.json' is missing"),
         ({"schema_version": "1"}, {CELL: b"{"}, "cannot be read"),
         ({"schema_version": "1"}, {CELL: b"[1]"}, "cannot be read"),
@@ -61,6 +62,16 @@ def test_poses_of_a_cell_come_back_to_the_last_bit(q: npt.NDArray[np.float64]) -
             {"schema_version": "1", "policy": "light", "started_at": "noon"},
             {CELL: head.cell_attachment(ABOUT.cell)},
             "noon",
+        ),
+        (
+            {"schema_version": "1", "policy": "light", "started_at": "1e300"},
+            {CELL: head.cell_attachment(ABOUT.cell)},
+            "1e\\+300 is not between",
+        ),
+        (
+            {"schema_version": "1", "policy": "light", "started_at": "0", "seed": "9" * 4000},
+            {CELL: head.cell_attachment(ABOUT.cell)},
+            "cannot be read",
         ),
     ],
 )

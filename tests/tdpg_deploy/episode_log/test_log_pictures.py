@@ -112,3 +112,10 @@ def test_poses_of_a_plan_are_its_straight_motions() -> None:
     plan = Synthetic().plan(PRIMITIVES[1])
     heights = [pose.position.z for pose in plan_scene.poses(plan, 7).poses]
     assert heights == [0.1, -0.14]
+
+
+@pytest.mark.parametrize("x", [np.nan, np.inf, 1e300])
+def test_an_action_that_is_nowhere_is_not_drawn(x: float) -> None:
+    picture = np.zeros((448, 448, 3), np.uint8)
+    pictures.draw_action(picture, Grasp(x=x, y=0.0, z=0.0, yaw=0.0), WORKSPACE)
+    assert not picture.any()
