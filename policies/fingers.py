@@ -19,6 +19,8 @@ from policies.policy import ROTATIONS
 OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
 PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
 FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
+# m along and across a push: both closed fingers where they are broadest, 2 mm to spare all around
+CLOSED_FINGERS = 0.030, 0.064
 MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...
 FLAT = 0.01  # m ... or less, where they come down no higher than this above the table
@@ -53,7 +55,8 @@ def have_room(surface: npt.ArrayLike, ground: npt.ArrayLike) -> npt.NDArray[np.b
 
 def under_closed_fingers(heightmap: Heightmap) -> Ground:
     """Where a push at each pixel comes down, its two fingers side by side across the travel."""
-    return _under(heightmap, along=PAD_WIDTH, across=2 * FINGER_DEPTH, apart=0.0)
+    along, across = CLOSED_FINGERS
+    return _under(heightmap, along=along, across=across, apart=0.0)
 
 
 _AROUND = 36  # pixels beyond the map that a finger can touch

@@ -58,7 +58,8 @@ def decision(kind: str, best_grasp: float) -> Decision:
     )
 
 
-def outcome(kind: str, success: Verdict) -> Outcome:
+def outcome(kind: str, success: Verdict, *, gone: Verdict | None = None) -> Outcome:
+    """gone: what the map says of a grasp, when it disagrees with the pads."""
     if kind == "push":
         return PushOutcome(motion=MOTION, travelled=0.1, changed=success)
     nan = math.nan
@@ -67,7 +68,7 @@ def outcome(kind: str, success: Verdict) -> Outcome:
         width_after_close=nan,
         width_after_lift=nan,
         held_by_width=success,
-        gone_from_map=success,
+        gone_from_map=gone or success,
     )
 
 

@@ -14,7 +14,7 @@ from policies.primitives import Push
 from tdpg_deploy.episode import took_goal
 from tdpg_deploy.episode_record import EpisodeResult, NullRecorder
 from tdpg_deploy.hal import RgbdFrame
-from tdpg_deploy.outcome import EndReason, Outcome, Verdict
+from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
 from tdpg_deploy.plan import Plan
 from tools.train.config import PushReward
 from tools.train.replay import CANDIDATES, TRANSITION, pack_goal, pack_height
@@ -97,7 +97,7 @@ class Notebook(NullRecorder):
         step, self._doing = self._doing, None
         assert step is not None
         self.actions += 1
-        success = outcome.success
+        success = _taught(outcome)
         if step.is_push:
             step.transition["reward"] = self._reward.changed * (success is Verdict.YES)
         else:
@@ -181,3 +181,11 @@ class Notebook(NullRecorder):
         if not step.is_push and success is Verdict.YES:
             push.transition["reward"] += self._reward.validated
         self._transitions.append(push.transition)
+
+
+def _taught(outcome: Outcome) -> Verdict:
+    """Success as a lesson. Pads that hold nothing have failed, even when the map has changed
+    there, which the outcome calls unknown: what they knocked over was not grasped."""
+    if isinstance(outcome, GraspOutcome) and outcome.held_by_width is Verdict.NO:
+        return Verdict.NO
+    return outcome.success
