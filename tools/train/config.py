@@ -58,13 +58,17 @@ class Rollout(_Section):
 class PushReward(_Section):
     """What a push is worth: the sum of what holds. A grasp is worth 1 if it succeeds.
 
-    rose: the best grasp's value rose (paper, eq. 3). validated: the grasp that followed
-    succeeded (eq. 4). changed: something moved (VPG; nothing in this paper).
+    rose: the best grasp's value rose, by more than `least_rise` (paper, eq. 3, which asks for no
+    more than a rise: between two looks at the same table noise makes every other one). validated:
+    the grasp that followed succeeded (eq. 4). changed: something moved (VPG; nothing in this
+    paper). idle: share of all this for a push that moved nothing; the paper does not ask.
     """
 
     rose: float = Field(0.5, ge=0)
+    least_rise: float = Field(0.0, ge=0)
     validated: float = Field(0.5, ge=0)
     changed: float = Field(0.0, ge=0)
+    idle: float = Field(1.0, ge=0, le=1)
 
 
 class Randomization(_Section):

@@ -33,12 +33,14 @@ class Experience:
 
 @dataclass(kw_only=True)
 class _Step:
-    """An action and what is known of it so far. value: of the best grasp when it was chosen."""
+    """An action and what is known of it so far. value: of the best grasp when it was chosen.
+    idle: it was a push that moved nothing."""
 
     transition: npt.NDArray[np.void]
     decision: Decision
     before: Heightmap
     value: float
+    idle: bool = False
 
     @property
     def is_push(self) -> bool:
@@ -99,6 +101,7 @@ class Notebook(NullRecorder):
         self.actions += 1
         success = _taught(outcome)
         if step.is_push:
+            step.idle = success is Verdict.NO
             step.transition["reward"] = self._reward.changed * (success is Verdict.YES)
         else:
             success = self._of_goal(step, success)
@@ -171,16 +174,19 @@ class Notebook(NullRecorder):
             push = best_push(maps, self._rng)
             if push is not None:
                 step.transition["next_push"] = push.rotation, push.row, push.col
-        if step.is_push and float(maps.grasp.max()) > step.value:
-            step.transition["reward"] += self._reward.rose
+        if step.is_push and float(maps.grasp.max()) > step.value + self._reward.least_rise:
+            step.transition["reward"] += self._reward.rose * self._share(step)
 
     def _validate(self, push: _Step, step: _Step, success: Verdict) -> None:
         """Reward a push by the grasp that followed (paper, eq. 4)."""
         if success is Verdict.UNKNOWN and not step.is_push:
             return
         if not step.is_push and success is Verdict.YES:
-            push.transition["reward"] += self._reward.validated
+            push.transition["reward"] += self._reward.validated * self._share(push)
         self._transitions.append(push.transition)
+
+    def _share(self, push: _Step) -> float:
+        return self._reward.idle if push.idle else 1.0
 
 
 def _taught(outcome: Outcome) -> Verdict:
