@@ -21,12 +21,12 @@ from tdpg_deploy.cell import MachineClock
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.drivers.ur5 import UrArm
 from tdpg_deploy.emulators.cell_process import CellProcess
+from tdpg_deploy.emulators.ur_controller.process import ControllerProcess
 from tdpg_deploy.episode_log.entries import Intent
 from tdpg_deploy.episode_log.reader import read_episode
 from tdpg_deploy.geometry import top_down
 from tdpg_deploy.session import log_episode
-from tdpg_deploy.sim.scene_file import format_scene
-from tdpg_deploy.sim.scenes import Scene, random_scene
+from tdpg_deploy.sim.scenes import random_scene
 from tdpg_deploy.workspace import workspace_of
 from tools.benchmark.measure import Measurement
 
@@ -105,21 +105,18 @@ def _alike(ours: Primitive | None, theirs: Primitive | None) -> bool:
 
 
 def _touches(config: CellConfig) -> list[Measurement]:
-    with TemporaryDirectory() as directory:
-        empty = Path(directory) / "empty.toml"
-        empty.write_text(format_scene(Scene(objects=())), encoding="utf-8")
-        with CellProcess(config, "--scene", empty) as process:
-            arm = UrArm(process.config.arm, clock=MachineClock())
-            arm.connect()
-            try:
-                return [_touch(process, arm, speed) for speed in SPEEDS]
-            finally:
-                arm.close()
+    """On a table like rubber on wood: KinematicPlant.STIFFNESS."""
+    with ControllerProcess(host=HOST) as robot:
+        arm = UrArm(config.arm, clock=MachineClock())
+        arm.connect()
+        try:
+            return [_touch(config, robot, arm, speed) for speed in SPEEDS]
+        finally:
+            arm.close()
 
 
-def _touch(process: CellProcess, arm: UrArm, speed: float) -> Measurement:
+def _touch(config: CellConfig, robot: ControllerProcess, arm: UrArm, speed: float) -> Measurement:
     """The largest force while the table ends a descent."""
-    config = process.config
     limits, (x, y) = config.limits, config.workspace.center
     X_flange_tool = config.arm.X_flange_tool.transform()
     home = np.array(config.arm.home)
@@ -132,7 +129,7 @@ def _touch(process: CellProcess, arm: UrArm, speed: float) -> Measurement:
     for _ in range(TOUCHES):
         arm.move_joints(q_above, speed=1.0, acceleration=1.4, deadline=30.0)
         arm.zero_force()
-        with _peak_force(process) as peak:
+        with _peak_force(robot) as peak:
             arm.move_linear(
                 below,
                 speed=speed,
@@ -147,14 +144,14 @@ def _touch(process: CellProcess, arm: UrArm, speed: float) -> Measurement:
 
 
 @contextmanager
-def _peak_force(process: CellProcess) -> Iterator[list[float]]:
+def _peak_force(robot: ControllerProcess) -> Iterator[list[float]]:
     """Forces at the tool that the emulator feels meanwhile."""
     forces: list[float] = []
     over = threading.Event()
 
     def watch() -> None:
         while not over.is_set():
-            forces.append(float(np.linalg.norm(process.do("truth")["force"])))
+            forces.append(float(np.linalg.norm(robot.do("truth")["force"])))
 
     watching = threading.Thread(target=watch)
     watching.start()
