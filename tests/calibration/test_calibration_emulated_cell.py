@@ -36,6 +36,7 @@ TOPS = [(0.40, -0.10), (0.60, -0.12), (0.50, 0.0), (0.42, 0.13), (0.60, 0.13)]
 
 
 @pytest.mark.slow
+@pytest.mark.real_time
 def test_collected_solved_and_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(collection, "LEAST_VIEWS", 6)
     asked = small_cell()
