@@ -33,6 +33,9 @@ def parser() -> argparse.ArgumentParser:
     board.add_argument("--dpi", type=int, default=600, help="of a PNG (default: 600)")
     add_board(board)
 
+    tags = commands.add_parser("tags", help="write tags for the table to print, PDF or PNG")
+    tags.add_argument("file", type=Path)
+
     check = commands.add_parser("check-board", help="is the printed board flat, and of its size?")
     check.add_argument("photo", type=Path, help="the whole board, tilted by some 30 degrees")
     check.add_argument("--lens", type=Path, required=True, metavar="FILE", help="as for solve")

@@ -22,7 +22,7 @@ from calibration.exchange import (
     import_vpg,
 )
 from calibration.folder import read_lens, read_picture
-from calibration.printing import write_board
+from calibration.printing import lay_out_tags, write_board, write_sheet
 from tdpg_deploy.calibration_file import PoseSection, check_applies, load_calibration
 from tdpg_deploy.errors import CalibrationError
 
@@ -31,6 +31,7 @@ def run(args: argparse.Namespace, console: Console) -> int:
     commands: dict[str, Callable[[argparse.Namespace, Console], int]] = {
         "board": _board,
         "check-board": _check_board,
+        "tags": _tags,
         "collect": run_collect,
         "solve": run_solve,
         "touch": run_touch,
@@ -44,6 +45,12 @@ def run(args: argparse.Namespace, console: Console) -> int:
 def _board(args: argparse.Namespace, console: Console) -> int:
     write_board(target_of(args), args.file, dpi=args.dpi)
     console.print(f"{args.file}: print at 100 %, then measure the line and a row of squares")
+    return 0
+
+
+def _tags(args: argparse.Namespace, console: Console) -> int:
+    write_sheet(lay_out_tags(), args.file)
+    console.print(f"{args.file}: print, cut apart, and glue them around the workspace")
     return 0
 
 

@@ -24,6 +24,7 @@ RULER = 0.100  # m
 POINT = 0.0254 / 72  # m
 PAPER = {"A4": (0.297, 0.210), "A3": (0.420, 0.297), "A2": (0.594, 0.420), "A1": (0.841, 0.594)}
 SUFFIXES = (".pdf", ".png")
+TAGS = "DICT_APRILTAG_36h11"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,14 +39,38 @@ class Sheet:
 
 def write_board(target: CharucoTarget, path: Path, *, dpi: int = 600) -> None:
     """A PDF or a PNG, by the suffix. Raises CalibrationError."""
+    write_sheet(lay_out(target), path, dpi=dpi)
+
+
+def write_sheet(sheet: Sheet, path: Path, *, dpi: int = 600) -> None:
+    """A PDF or a PNG, by the suffix. Raises CalibrationError."""
     if path.suffix.lower() not in SUFFIXES:
-        raise CalibrationError(f"{path}: write the board to a file ending in .pdf or .png")
-    sheet = lay_out(target)
+        raise CalibrationError(f"{path}: write it to a file ending in .pdf or .png")
     data = as_pdf(sheet) if path.suffix.lower() == ".pdf" else as_png(sheet, dpi)
     try:
         path.write_bytes(data)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def lay_out_tags(count: int = 4, side: float = 0.05) -> Sheet:
+    """AprilTags for the table, to be cut apart and glued around the workspace. side: m."""
+    size = PAPER["A4"]
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
+    step = side + 0.015  # white around each tag, and room for scissors
+    columns = int((size[0] - 2 * MARGIN + 0.015) // step)
+    black = []
+    for number in range(count):
+        row, column = divmod(number, columns)
+        corner = np.array([MARGIN + column * step, MARGIN + row * step])
+        black += marker_rectangles(markers, number, side, corner)
+    return Sheet(
+        size=size,
+        black=np.array(black),
+        text_at=(MARGIN, size[1] - 0.008),
+        text=f"{TAGS}, {count} tags of {side * 1e3:g} mm: leave 6 mm of white around each, glue "
+        "them flat around the workspace, in the camera's sight.",
+    )
 
 
 def lay_out(target: CharucoTarget) -> Sheet:
@@ -85,29 +110,23 @@ def black_rectangles(target: CharucoTarget) -> Array:
     ]
     for marker_id, middle in enumerate(target.white_squares()):
         corner = middle - target.marker / 2
-        for x0, x1, y in _dark_runs(marker_cells(target, marker_id)):
-            cell = target.marker / (cells_across(target))
-            rectangles.append(
-                [
-                    corner[0] + x0 * cell,
-                    corner[1] + y * cell,
-                    corner[0] + x1 * cell,
-                    corner[1] + (y + 1) * cell,
-                ]
-            )
+        rectangles += marker_rectangles(dictionary(target), marker_id, target.marker, corner)
     return np.array(rectangles, np.float64)
 
 
-def cells_across(target: CharucoTarget) -> int:
-    """Cells along a marker, its black border included."""
-    return int(dictionary(target).markerSize) + 2
-
-
-def marker_cells(target: CharucoTarget, marker_id: int) -> npt.NDArray[np.bool_]:
-    """(k, k) True where dark."""
-    across = cells_across(target)
-    drawn = cv2.aruco.generateImageMarker(dictionary(target), marker_id, across, borderBits=1)
-    return np.asarray(drawn == 0)
+def marker_rectangles(
+    markers: cv2.aruco.Dictionary, marker_id: int, side: float, corner: Array
+) -> list[list[float]]:
+    """x0, y0, x1, y1 of a marker's dark cells; side: m, black border included; corner: its upper
+    left one (2,), m."""
+    across = int(markers.markerSize) + 2
+    dark = cv2.aruco.generateImageMarker(markers, marker_id, across, borderBits=1) == 0
+    x, y = (float(value) for value in corner)
+    cell = side / across
+    return [
+        [x + x0 * cell, y + row * cell, x + x1 * cell, y + (row + 1) * cell]
+        for x0, x1, row in _dark_runs(dark)
+    ]
 
 
 def dictionary(target: CharucoTarget) -> cv2.aruco.Dictionary:

@@ -60,6 +60,10 @@ class EmulatorRig(CellProcess):
     def host(self) -> str:
         return self.config.arm.host
 
+    def kill(self) -> None:
+        """It dies with all its devices at once."""
+        self._process.kill()
+
     def wait_for_motion(self, *, deadline: float = 60.0) -> None:
         wait_until(lambda: self.do("truth")["speed"] > 0.2, deadline=deadline)
 

@@ -40,9 +40,11 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(argv)
 
+    from rich.console import Console
+
     from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
     from tdpg_deploy.doctor.examination import Examination, examinations, examine, motions
-    from tdpg_deploy.doctor.finding import Finding, as_document, as_text, is_healthy, summary
+    from tdpg_deploy.doctor.finding import Finding, as_document, as_line, is_healthy, summary
     from tdpg_deploy.errors import ConfigError
 
     try:
@@ -52,12 +54,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     wanted = args.device or DEVICES
     findings: list[Finding] = []
+    console = Console(highlight=False)
 
     def look(at: Mapping[str, Examination]) -> None:
+        device = None
         for finding in examine({device: at[device] for device in at if device in wanted}):
             findings.append(finding)
             if not args.json:  # as it goes: a device may take seconds
-                print(as_text(finding), flush=True)  # noqa: T201
+                console.print(as_line(finding, names_device=finding.device != device))
+            device = finding.device
 
     look(examinations(config))
     if args.move and is_healthy(findings) and _agreed():
@@ -65,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.json:
         print(json.dumps(as_document(config.name, findings), indent=2))  # noqa: T201
     else:
-        print(summary(findings))  # noqa: T201
+        console.print(summary(findings))
     return 0 if is_healthy(findings) else 1
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from tdpg_deploy.cli.run import add_table_arguments
 
+FASTEST = 4.0  # docs/emulate.md says why
 EXIT_CODES = """
 exit codes:
   0  ended by Ctrl-C
@@ -48,8 +49,11 @@ def parser() -> argparse.ArgumentParser:
 
 def _pace(text: str) -> float:
     value = float(text)
-    if not 0 < value <= 20:
-        raise argparse.ArgumentTypeError(f"{value} is not within 0 to 20")
+    if not 0 < value <= FASTEST:
+        raise argparse.ArgumentTypeError(
+            f"{value:g} is not within 0 to {FASTEST:g}: the faster the cell, the later its clients "
+            "feel a contact"
+        )
     return value
 
 

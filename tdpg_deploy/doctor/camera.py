@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tdpg_deploy.cell_config import CellConfig
+from tdpg_deploy.doctor.calibration import examine_calibration
 from tdpg_deploy.doctor.finding import Finding, judge
 from tdpg_deploy.drivers.realsense import RealsenseCamera
 from tdpg_deploy.drivers.realsense_library import load_realsense
@@ -38,6 +39,7 @@ def examine_camera(camera: RealsenseCamera, config: CellConfig) -> Iterator[Find
     depths = np.stack([frame.depth for frame in frames])
     yield judge_noise(depths, frames[0].intrinsics.fx)
     yield from _table(frames[-1], config)
+    yield from examine_calibration(config.camera.calibration, frames[-1])
 
 
 def _device(camera: RealsenseCamera) -> Iterator[Finding]:

@@ -7,11 +7,19 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from rich.table import Table
+from rich.text import Text
+
+DOCUMENT_VERSION = 1  # of --json: grows when a field changes its meaning or goes
+
 
 class Verdict(Enum):
     GOOD = "good"
     DOUBT = "doubt"  # works, but look at it
     BAD = "bad"  # the cell will not work
+
+
+STYLES = {Verdict.GOOD: "green", Verdict.DOUBT: "yellow", Verdict.BAD: "bold red"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +43,22 @@ def judge(
     return Finding(device=device, check=check, verdict=verdict, measured=measured, remedy=remedy)
 
 
-def as_text(finding: Finding) -> str:
-    """For a terminal: one line, and one more with the remedy."""
-    line = f"{finding.device:<9}{finding.verdict.value:<7}{finding.check:<16}{finding.measured}"
-    return f"{line}\n{'':32}-> {finding.remedy}" if finding.remedy else line
+def as_line(finding: Finding, *, names_device: bool) -> Table:
+    """For a terminal of any width; below what was measured stands how to mend it."""
+    style = STYLES[finding.verdict]
+    line = Table.grid(padding=(0, 2, 0, 0), expand=True)
+    for width in (8, 6, 15):
+        line.add_column(width=width)
+    line.add_column(ratio=1)
+    line.add_row(
+        Text(finding.device if names_device else "", style="bold"),
+        Text(finding.verdict.value, style=style),
+        Text(finding.check),
+        Text(finding.measured),
+    )
+    if finding.remedy:
+        line.add_row("", "", "", Text(f"-> {finding.remedy}", style=style))
+    return line
 
 
 def summary(findings: Sequence[Finding]) -> str:
@@ -51,8 +71,10 @@ def summary(findings: Sequence[Finding]) -> str:
 
 
 def as_document(cell: str, findings: Sequence[Finding]) -> dict[str, Any]:
-    """For --json."""
+    """For --json; docs/doctor.md describes it."""
     return {
+        "format": "tdpg-doctor",
+        "version": DOCUMENT_VERSION,
         "cell": cell,
         "healthy": is_healthy(findings),
         "findings": [

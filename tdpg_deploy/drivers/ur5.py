@@ -99,7 +99,8 @@ class UrArm:
         if distance > MODEL_TOLERANCE[0] or angle > MODEL_TOLERANCE[1]:
             raise ArmError(
                 f"the controller sees its tool {distance * 1000:.0f} mm and {angle:.2f} rad from "
-                f"where a {self._config.model} has it: check arm.model and arm.X_flange_tool"
+                "where a UR5 has it: check arm.X_flange_tool, and that the arm is a UR5; a UR5e "
+                "has other links and is not supported"
             )
 
     # --- state --------------------------------------------------------------------------------

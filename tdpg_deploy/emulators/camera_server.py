@@ -76,8 +76,8 @@ class CameraServer:
             await self._awake.wait()
             writer.write(await self._picture())
             await writer.drain()
-        except ConnectionError:
-            pass  # the client is gone
+        except (ConnectionError, asyncio.CancelledError):
+            pass  # the client is gone, or we go; Python 3.11 reports a handler that was cancelled
         finally:
             self._clients.discard(client)
             writer.close()

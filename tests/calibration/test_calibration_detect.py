@@ -13,14 +13,17 @@ import numpy.typing as npt
 import pytest
 
 from calibration.detect import charuco_board, detect, self_test
+from calibration.drift import find_tags
 from calibration.pictures import board_in_front, paint_board
 from calibration.printing import (
     POINT,
     as_pdf,
     black_rectangles,
     lay_out,
+    lay_out_tags,
     raster,
     write_board,
+    write_sheet,
 )
 from calibration.synthetic import D435_720P
 from calibration.target import CharucoTarget
@@ -68,6 +71,15 @@ def test_png_carries_its_resolution(tmp_path: Path) -> None:
     found = detect(np.asarray(page, np.uint8), TARGET)
     pixels_per_metre = np.diff(found.corners[:8, 0]).mean() / TARGET.square
     assert pixels_per_metre == pytest.approx(11811, rel=1e-3)
+
+
+def test_printed_tags_are_found(tmp_path: Path) -> None:
+    write_sheet(lay_out_tags(), tmp_path / "tags.png", dpi=150)
+    page = cv2.imread(str(tmp_path / "tags.png"), cv2.IMREAD_GRAYSCALE)
+    found = find_tags(np.asarray(page, np.uint8)).corners
+    assert sorted(found) == [0, 1, 2, 3]
+    sides = [np.linalg.norm(corners[1] - corners[0]) for corners in found.values()]
+    assert sides == pytest.approx([0.05 * 150 / 0.0254] * 4, rel=5e-3)
 
 
 def test_unknown_suffix_is_refused(tmp_path: Path) -> None:

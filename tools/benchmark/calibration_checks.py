@@ -11,7 +11,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from calibration.depth import DepthSamples, fit_depth
-from calibration.drift import DICTIONARY, compare, find_tags
+from calibration.drift import compare, find_tags
+from calibration.printing import TAGS
 from calibration.synthetic import D435_720P
 from tdpg_deploy.geometry import Array, Transform
 from tools.benchmark.measure import Measurement
@@ -100,7 +101,7 @@ def draw(X_camera_table: Transform) -> npt.NDArray[np.float64]:
         cx=(lens.cx + 0.5) * OVERSAMPLED - 0.5,
         cy=(lens.cy + 0.5) * OVERSAMPLED - 0.5,
     )
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
     picture = np.full((fine.height, fine.width), 150, np.uint8)
     border = TAG // 8
     for number, (x, y) in enumerate(PLACES):

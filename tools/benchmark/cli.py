@@ -10,6 +10,7 @@ BENCHMARKS = {
     "perception": "a D435 frame becomes a heightmap; the renderer",
     "decision": "a heightmap becomes a decision, for each network",
     "primitive": "grasps and pushes in the simulated cell",
+    "emulated": "the emulated cell beside the mock cell; the force of a touch",
     "log": "what logging costs; reading a log back",
     "audit": "tdpg-audit and its pages on 200 episodes of 30 steps",
     "calibration": "error of hand-eye calibration beside OpenCV's methods",

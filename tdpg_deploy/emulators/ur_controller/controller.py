@@ -106,7 +106,7 @@ class Controller:
         try:
             self._program.step()
         except ScriptError as error:
-            _log.info("program stopped: %s", error)
+            _log.warning("program stopped: %s", error)  # as a pendant's window would say
         if not self._program.alive:
             self.stop_program()
 

@@ -14,8 +14,8 @@ from typing import Any
 
 from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable
 
-_START_DEADLINE = 20.0  # s
-_COMMAND_DEADLINE = 10.0  # s
+_START_DEADLINE = 60.0  # s
+_COMMAND_DEADLINE = 30.0  # s
 
 
 class ControllerProcess:

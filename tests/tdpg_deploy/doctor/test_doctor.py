@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from emulated_d435 import INTRINSICS, SERIAL, Scene
+from rich.console import Console
 from robotiq_on_wires import Bench, bench_on
 from ur_rig import emulated_controller, new_host, wait_until
 
@@ -25,7 +26,7 @@ from tdpg_deploy.doctor import camera as camera_examination
 from tdpg_deploy.doctor.arm import examine_arm
 from tdpg_deploy.doctor.camera import examine_camera, judge_noise, judge_table
 from tdpg_deploy.doctor.examination import examine
-from tdpg_deploy.doctor.finding import Finding, Verdict, as_document, as_text, judge, summary
+from tdpg_deploy.doctor.finding import Finding, Verdict, as_document, as_line, judge, summary
 from tdpg_deploy.doctor.gripper import examine_gripper
 from tdpg_deploy.doctor.moves import move_arm, move_gripper
 from tdpg_deploy.doctor.rtde_watch import Listening, listen
@@ -186,7 +187,9 @@ def cell() -> CellConfig:
 
 def test_a_sound_camera(cell: CellConfig) -> None:
     findings = examined(Table(cell), cell)
-    assert set(verdicts(findings).values()) == {GOOD}
+    found = verdicts(findings)
+    assert found.pop("calibration") is DOUBT  # its pose is typed in
+    assert set(found.values()) == {GOOD}
     assert SERIAL in findings[0].measured
 
 
@@ -236,8 +239,19 @@ def test_one_dead_device_does_not_hide_the_next() -> None:
     assert findings[1].measured == "the arm is gone: switch it on"
     assert summary(findings) == "1 bad and 0 doubtful of 3 checks"
     assert summary(findings[2:]) == "all 1 checks are good"
-    assert as_text(judge("arm", "x", "1", good=False, remedy="mend")).endswith("-> mend")
     assert as_document("mine", findings)["healthy"] is False
+
+
+def test_a_line_fits_its_terminal_and_names_a_device_once() -> None:
+    finding = judge("arm", "mode", "IDLE " * 20, good=False, remedy="power it on " * 5)
+    with (console := Console(width=80, file=io.StringIO())).capture() as told:
+        console.print(as_line(finding, names_device=True))
+        console.print(as_line(finding, names_device=False))
+    lines = told.get().splitlines()
+    assert lines[0].startswith("arm       doubt   mode             IDLE IDLE")
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("arm") for line in lines) == 1
+    assert [line.lstrip()[:14] for line in lines if "->" in line] == ["-> power it on"] * 2
 
 
 @pytest.fixture
@@ -255,17 +269,20 @@ def test_the_command_tells_and_returns_one(
 ) -> None:
     assert main(["--config", str(mock_file), "--device", "gripper", "--device", "camera"]) == 1
     told = capsys.readouterr().out
-    assert "gripper  bad    responds" in told
-    assert "camera   bad    responds        camera: not found on USB" in told
+    assert "gripper   bad     responds         gripper at 127.0.0.1:1" in told
+    assert "camera    bad     responds         camera: not found on USB" in told
     assert told.endswith("2 bad and 0 doubtful of 2 checks\n")
 
 
 def test_the_command_in_json(mock_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--config", str(mock_file), "--device", "gripper", "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
-    assert document["healthy"] is False
-    assert document["findings"][0]["device"] == "gripper"
-    assert document["findings"][0]["verdict"] == "bad"
+    (finding,) = document.pop("findings")
+    assert document == {"format": "tdpg-doctor", "version": 1, "cell": "mock", "healthy": False}
+    assert finding.keys() == {"device", "check", "verdict", "measured", "remedy"}
+    assert (finding["device"], finding["verdict"]) == ("gripper", "bad")
+    page = (Path(__file__).parents[3] / "docs" / "doctor.md").read_text(encoding="utf-8")
+    assert [key for key in (*document, *finding) if f"| `{key}` |" not in page] == []
 
 
 def test_a_wrong_cell_file_is_no_diagnosis(

@@ -229,6 +229,11 @@ def not_connected(rig: Rig) -> None:
     arm.move_joints(rig.goal, speed=0.4, acceleration=5.0, deadline=60.0)
 
 
+def link_lost(rig: Rig) -> None:
+    rig.do("drop")
+    wait_until(lambda: rig.arm.state() is None)  # raises once the loss is felt
+
+
 def out_of_reach(rig: Rig) -> None:
     rig.arm.move_linear(top_down(1.5, 0, 0, 0), speed=0.1, acceleration=1.0, deadline=5.0)
 
@@ -296,7 +301,7 @@ FAULTS = {
     ),
     "program-stopped-at-rest": Fault(provoke=at_rest("stop_program")),
     "another-program": Fault(provoke=another_program),
-    "link-lost-at-rest": Fault(provoke=at_rest("drop")),
+    "link-lost-at-rest": Fault(provoke=link_lost),
     "out-of-reach": Fault(provoke=out_of_reach, then="move"),
     "beyond-joint-range": Fault(provoke=joints_by(7.0, 0.1), then="move"),
     "beyond-speed-range": Fault(provoke=joints_by(0.1, 50.0), then="move"),

@@ -8,11 +8,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 from emulated_cell import EmulatorRig, TallestGrasp, cubes, emulator, small_cell
+from terminal import Terminal
 from ur_rig import processes_of
 
 from policies.shipped import NamedPolicy
@@ -58,7 +60,11 @@ def run_real(rig: EmulatorRig, out: Path) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("driver", "generation"),
-    [("robotiq_rtu", "cb3"), ("robotiq_rtu_tcp", "e-series"), ("robotiq_urcap", "cb3")],
+    [
+        (driver, generation)
+        for driver in ("robotiq_rtu", "robotiq_rtu_tcp", "robotiq_urcap")
+        for generation in ("cb3", "e-series")
+    ],
 )
 def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Path) -> None:
     """The same first action as in the mock cell, on each wire of the gripper."""
@@ -92,7 +98,9 @@ def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Pa
         ("protective_stop", "reset", "ProtectiveStop"),
         ("emergency_stop", "reset", "EmergencyStop"),
         ("freeze", "reset", "DeviceUnreachable"),
+        ("lose_power", "reset", "DeviceUnreachable"),
         ("gripper_mute", "gripper_speak", "DeviceTimeout"),
+        ("gripper_lose_power", "gripper_restore_power", "GripperError"),
         ("camera_stall", "camera_resume", "DeviceTimeout"),
     ],
 )
@@ -138,6 +146,67 @@ def test_ctrl_c_stops_the_arm_and_closes_the_log(cell: EmulatorRig, tmp_path: Pa
     result = read_episode(log).result()
     assert result is not None
     assert result.reason is EndReason.OPERATOR_STOP
+
+
+@pytest.mark.slow
+def test_a_whole_cell_that_dies_leaves_a_closed_log(tmp_path: Path) -> None:
+    """As when the mains fail."""
+    rig = EmulatorRig(small_cell(), "--objects", "2", "--pace", "2")
+    with rig:
+
+        def strike() -> None:
+            rig.wait_for_motion()
+            rig.kill()
+
+        striking = threading.Thread(target=strike)
+        striking.start()
+        assert run_real(rig, tmp_path) == 3
+        striking.join()
+        assert processes_of(rig.host) == {}
+    (log,) = tmp_path.glob("*.mcap")
+    result = read_episode(log).result()
+    assert result is not None
+    assert result.reason is EndReason.DEVICE_ERROR
+    assert result.error is not None
+    assert result.error.startswith("DeviceUnreachable")
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path: Path) -> None:
+    cell.do("reset")
+    before = cell.do("truth")["q"]
+    with tdpg_run_in_a_terminal(cell, tmp_path) as terminal:
+        terminal.wait_for("is going to move")
+        terminal.wait_for("0.12 m/s in free space")  # a quarter of the cell's 0.5 m/s
+        terminal.wait_for("Type yes to go on: ")
+        terminal.type("no\n")
+        assert terminal.exit_code() == 2
+    assert list(tmp_path.iterdir()) == []
+    with tdpg_run_in_a_terminal(cell, tmp_path, "--step") as terminal:
+        terminal.wait_for("Type yes to go on: ")
+        terminal.type("yes\n")
+        terminal.wait_for("Go? (y/N) ")
+        assert np.allclose(cell.do("truth")["q"], before, atol=1e-3)  # it stood at home
+        terminal.type("y\n")
+        cell.wait_for_motion()
+        fastest = max(cell.do("truth")["speed"] for _ in range(100))
+        assert fastest < 0.25 * cell.config.limits.joint_speed * 1.05
+        terminal.type("\x03")
+        assert terminal.exit_code() == 130
+    cell.wait_for_rest()
+    assert cell.stands_still()
+    (log,) = tmp_path.glob("*.mcap")
+    result = read_episode(log).result()
+    assert result is not None
+    assert result.reason is EndReason.OPERATOR_STOP
+
+
+@contextmanager
+def tdpg_run_in_a_terminal(cell: EmulatorRig, out: Path, *options: str) -> Iterator[Terminal]:
+    run = ("tdpg_deploy.cli.run", "--real", "--policy", "random", "--config", cell.file)
+    with Terminal([sys.executable, "-m", *map(str, run), "--out", str(out), *options]) as terminal:
+        yield terminal
 
 
 def test_a_taken_address_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
