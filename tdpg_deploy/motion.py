@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from policies.fingers import (
+from policies.gripper import (
     CLOSED_FINGERS,
     FINGER_DEPTH,
     MAX_UNKNOWN,
