@@ -183,11 +183,13 @@ def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path:
         terminal.type("no\n")
         assert terminal.exit_code() == 2
     assert list(tmp_path.iterdir()) == []
+    assert np.allclose(cell.do("truth")["q"], before, atol=1e-4)
     with tdpg_run_in_a_terminal(cell, tmp_path, "--step") as terminal:
         terminal.wait_for("Type yes to go on: ")
         terminal.type("yes\n")
         terminal.wait_for("Go? (y/N) ")
-        assert np.allclose(cell.do("truth")["q"], before, atol=1e-3)  # it stood at home
+        cell.wait_for_rest()
+        assert np.allclose(cell.do("truth")["q"], cell.config.arm.home, atol=1e-3)
         terminal.type("y\n")
         cell.wait_for_motion()
         fastest = max(cell.do("truth")["speed"] for _ in range(100))
