@@ -19,13 +19,14 @@ from calibration.record import RecordedView, RecordWriter, Setup, read_record
 from calibration.refine import Freedom
 from calibration.solve import solve
 from calibration.target import CharucoTarget
-from calibration.views import PoseNoise, View
+from calibration.views import Mounting, PoseNoise, View
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
-from tdpg_deploy.hal import Arm, Camera, Clock
+from tdpg_deploy.hal import Arm, Camera, Clock, Intrinsics
 
 LEAST_VIEWS, MOST_VIEWS, MOST_FAILURES = 10, 25, 12
 FIRST_SOLUTION = 6  # views from which both poses are solved anew after each
+TOOL_DEPTHS = (0.4, 0.6)  # m before a camera on the tool
 STILL = 0.2e-3  # m that the tool may move during a picture
 
 
@@ -73,6 +74,24 @@ class Progress:
     last: RecordedView | None
     problems: tuple[str, ...]
     X_camera_board: Transform | None
+
+
+def wanted_points(setup: Setup, X_parent_camera: Transform, lens: Intrinsics) -> Array:
+    """(n, 3) in the camera's parent frame: where the calibration is to be good.
+
+    That is over the workspace, or in the view of a camera on the tool.
+    """
+    if setup.mounting is Mounting.EYE_TO_HAND:
+        square = setup.workspace
+        x, y = np.linspace(*square.x_range, 5), np.linspace(*square.y_range, 5)
+        heights = [square.table_z, square.table_z + 0.1]
+        return np.stack(np.meshgrid(x, y, heights), axis=-1).reshape(-1, 3)
+    u, v, z = np.meshgrid(
+        np.linspace(0.1, 0.9, 5) * lens.width, np.linspace(0.1, 0.9, 5) * lens.height, TOOL_DEPTHS
+    )
+    rays = [(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)]
+    p_camera: Array = (z[..., None] * np.stack(rays, axis=-1)).reshape(-1, 3)
+    return X_parent_camera @ p_camera
 
 
 def view_of(recorded: RecordedView, target: CharucoTarget) -> tuple[View | None, tuple[str, ...]]:

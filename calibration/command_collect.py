@@ -13,7 +13,7 @@ from calibration.approach import Approach
 from calibration.board_arguments import target_of
 from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.collect import collect, collect_by_hand
-from calibration.collection import Devices, Plan, Progress
+from calibration.collection import Devices, Plan, Progress, wanted_points
 from calibration.consent import ask_consent
 from calibration.detect import self_test
 from calibration.live import draw, panel, write_picture
@@ -22,10 +22,7 @@ from calibration.record import Setup
 from calibration.views import Mounting
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.errors import CalibrationError
-from tdpg_deploy.geometry import Array, Transform
-from tdpg_deploy.hal import Intrinsics
-
-DEPTHS = (0.4, 0.6)  # m before a camera on the tool, where its calibration is to be good
+from tdpg_deploy.geometry import Transform
 
 
 def run_collect(args: argparse.Namespace, console: Console) -> int:
@@ -49,7 +46,7 @@ def run_collect(args: argparse.Namespace, console: Console) -> int:
         plan = Plan(
             setup=setup,
             guess=Estimate(X_parent_camera=camera, X_parent_board=board, intrinsics=lens),
-            p_workspace=workspace_points(config, setup.mounting, camera, lens),
+            p_workspace=wanted_points(setup, camera, lens),
             goal=args.goal,
         )
         approach, path = Approach(config, cell.arm), args.record
@@ -92,23 +89,6 @@ def first_guess(args: argparse.Namespace, config: CellConfig) -> tuple[Transform
         else Transform.from_rotation_vector(args.camera_pose)
     )
     return camera, Transform.from_rotation_vector(args.board_pose or [0.0] * 6)
-
-
-def workspace_points(
-    config: CellConfig, mounting: Mounting, X_parent_camera: Transform, lens: Intrinsics
-) -> Array:
-    """(n, 3) in the camera's parent frame: where the calibration is to be good."""
-    if mounting is Mounting.EYE_TO_HAND:
-        square = config.workspace
-        x, y = np.linspace(*square.x_range, 5), np.linspace(*square.y_range, 5)
-        heights = [square.table_z, square.table_z + 0.1]
-        return np.stack(np.meshgrid(x, y, heights), axis=-1).reshape(-1, 3)
-    u, v, z = np.meshgrid(
-        np.linspace(0.1, 0.9, 5) * lens.width, np.linspace(0.1, 0.9, 5) * lens.height, DEPTHS
-    )
-    rays = [(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)]
-    p_camera: Array = (z[..., None] * np.stack(rays, axis=-1)).reshape(-1, 3)
-    return X_parent_camera @ p_camera
 
 
 def _with_board(cell: Devices, args: argparse.Namespace, plan: Plan, config: CellConfig) -> Devices:

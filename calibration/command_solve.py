@@ -19,7 +19,7 @@ from calibration.detect import self_test
 from calibration.drift import LEAST_TAGS, find_tags
 from calibration.file import make_calibration
 from calibration.folder import read_lens, read_picture, read_views
-from calibration.record import RecordedView, read_record, record_hash
+from calibration.record import Record, RecordedView, read_record, record_hash
 from calibration.report import ReportInputs, write_html
 from calibration.solve import HandEye, solve
 from calibration.table import TablePlane, fit_table, workspace_points
@@ -166,8 +166,14 @@ def from_record(args: argparse.Namespace) -> Taken:
         pictures={r.name: r.color.mean(axis=2).astype(np.uint8) for r in record.views},
         depths={r.name: r.depth for r in record.views},
         table=record.table,
-        table_picture=None if record.table is None else record.table.color,
+        table_picture=_table_picture(args, record),
     )
+
+
+def _table_picture(args: argparse.Namespace, record: Record) -> npt.NDArray[np.uint8] | None:
+    if args.table is not None:
+        return read_picture(args.table, record.views[0].intrinsics)
+    return None if record.table is None else record.table.color
 
 
 def depth_samples(taken: Taken, found: HandEye) -> list[DepthSamples]:

@@ -23,7 +23,10 @@ FOUNDATION = [
 ]
 COMPILER = ["tdpg_deploy.compiled"]
 VALUES = [
-    "policies.heightmap", "policies.primitives", "policies.policy", "policies.gripper",
+    "policies.heightmap",
+    "policies.primitives",
+    "policies.policy",
+    "policies.gripper",
     "policies.errors",
 ]
 STEP = ["tdpg_deploy.plan", "tdpg_deploy.outcome"]

@@ -67,7 +67,7 @@ def processes_of(host: str) -> dict[int, str]:
     return found
 
 
-def wait_until(condition: Callable[[], bool], *, deadline: float = 5.0) -> None:
+def wait_until(condition: Callable[[], bool], *, deadline: float = 30.0) -> None:
     end = time.monotonic() + deadline
     while not condition():
         assert time.monotonic() < end, "the condition did not come true in time"

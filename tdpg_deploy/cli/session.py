@@ -7,7 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from policies.errors import PolicyError
 from policies.shipped import NamedPolicy, open_policy
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.cli.live import Live
+from tdpg_deploy.cli.recovery import offer_recovery
 from tdpg_deploy.episode_log.summary import write_summary
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import ConfigError, DeviceError, LogError, TdpgError
@@ -38,8 +39,13 @@ REAL_SPEED = 0.25  # share of the cell's limits, until somebody asks for more
 
 def run_session(args: argparse.Namespace) -> int:
     """Run what the command line asks for. Returns the exit code, the worst of all episodes."""
+    console = Console(highlight=False)
     with interruptible():
-        return _run_all(args, Console(highlight=False))
+        code = _run_all(args, console)
+        if code == DEVICE_FAILED and args.real and not args.unattended:
+            with suppress(KeyboardInterrupt):
+                offer_recovery(console, load_cell(args.config or DEFAULT_CELL).arm)
+        return code
 
 
 @contextmanager

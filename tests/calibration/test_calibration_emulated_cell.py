@@ -20,12 +20,11 @@ from calibration import collection
 from calibration.approach import Approach
 from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.collect import collect
-from calibration.collection import Plan, view_of
-from calibration.command_collect import workspace_points
+from calibration.collection import Plan, view_of, wanted_points
 from calibration.projection import Estimate
 from calibration.record import Setup, read_record
 from calibration.solve import solve
-from calibration.table import workspace_points as seen_points
+from calibration.table import workspace_points
 from calibration.touch import find_places, touch_all
 from calibration.views import Mounting
 from tdpg_deploy.cell import Cell, open_cell
@@ -55,7 +54,7 @@ def test_collected_solved_and_touched(tmp_path: Path, monkeypatch: pytest.Monkey
 
         calibrated = with_camera(rig.config, found)
         frame = cell.camera.capture()
-        points = seen_points(frame.depth, frame.intrinsics, found, config.workspace, every=1)
+        points = workspace_points(frame.depth, frame.intrinsics, found, config.workspace, every=1)
         places = find_places(points, calibrated)[:5]
         touches = touch_all(places, cell.arm, cell.gripper, calibrated, lambda _: None)
         # The emulated camera counts depth in whole millimetres.
@@ -63,16 +62,15 @@ def test_collected_solved_and_touched(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def take_views(cell: Cell, config: CellConfig, X_true: Transform, path: Path) -> None:
+    setup = Setup(mounting=Mounting.EYE_TO_HAND, target=TARGET, workspace=config.workspace)
     plan = Plan(
-        setup=Setup(mounting=Mounting.EYE_TO_HAND, target=TARGET, workspace=config.workspace),
+        setup=setup,
         guess=Estimate(
             X_parent_camera=config.X_base_camera,
             X_parent_board=moved(X_TOOL_BOARD, 0.01, 2.0),
             intrinsics=cell.camera.intrinsics,
         ),
-        p_workspace=workspace_points(
-            config, Mounting.EYE_TO_HAND, config.X_base_camera, cell.camera.intrinsics
-        ),
+        p_workspace=wanted_points(setup, config.X_base_camera, cell.camera.intrinsics),
         goal=0.3e-3,
     )
     held = PaintedBoard(

@@ -23,8 +23,7 @@ from calibration.approach import Approach
 from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.cli import main
 from calibration.collect import collect, collect_by_hand
-from calibration.collection import Plan, Progress, view_of
-from calibration.command_collect import workspace_points
+from calibration.collection import Plan, Progress, view_of, wanted_points
 from calibration.projection import Estimate
 from calibration.record import Setup, read_record
 from calibration.solve import solve
@@ -60,10 +59,11 @@ def plan_for(
     config: CellConfig, mounting: Mounting, cell: Cell, camera: Transform, board: Transform
 ) -> Plan:
     lens = cell.camera.intrinsics
+    setup = Setup(mounting=mounting, target=TARGET, workspace=config.workspace)
     return Plan(
-        setup=Setup(mounting=mounting, target=TARGET, workspace=config.workspace),
+        setup=setup,
         guess=Estimate(X_parent_camera=camera, X_parent_board=board, intrinsics=lens),
-        p_workspace=workspace_points(config, mounting, camera, lens),
+        p_workspace=wanted_points(setup, camera, lens),
     )
 
 

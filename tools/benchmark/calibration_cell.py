@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from calibration.approach import Approach
 from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.collect import collect
-from calibration.collection import Plan, view_of
-from calibration.command_collect import workspace_points
+from calibration.collection import Plan, view_of, wanted_points
 from calibration.projection import Estimate
 from calibration.record import Setup, read_record
 from calibration.solve import solve
@@ -77,14 +76,15 @@ def _calibrate(
 ) -> Transform:
     lens = cell.camera.intrinsics
     mounting, target = Mounting.EYE_TO_HAND, DEFAULT_TARGET
+    setup = Setup(mounting=mounting, target=target, workspace=config.workspace)
     plan = Plan(
-        setup=Setup(mounting=mounting, target=target, workspace=config.workspace),
+        setup=setup,
         guess=Estimate(
             X_parent_camera=config.X_base_camera,
             X_parent_board=X_TOOL_BOARD @ _random_pose(*FIRST_GUESS, rng),
             intrinsics=lens,
         ),
-        p_workspace=workspace_points(config, mounting, config.X_base_camera, lens),
+        p_workspace=wanted_points(setup, config.X_base_camera, lens),
     )
     held = PaintedBoard(
         mounting=mounting, target=target, X_parent_camera=X_true, X_parent_board=X_TOOL_BOARD

@@ -116,13 +116,10 @@ class Rig:
         return self.q()
 
     def stays_at(self, q: Array) -> None:
-        for _ in range(10):
-            before = self.robot.do("truth")["time"]
-            wait_until(functools.partial(self._is_later_than, before))
-            np.testing.assert_allclose(self.q(), q, atol=1e-4)
-
-    def _is_later_than(self, moment: float) -> bool:
-        return bool(self.robot.do("truth")["time"] > moment)
+        """For half a second of the controller's time."""
+        end = self.robot.do("truth")["time"] + 0.5
+        wait_until(lambda: self.robot.do("truth")["time"] > end)
+        np.testing.assert_allclose(self.q(), q, atol=1e-4)
 
 
 @pytest.fixture(scope="module")

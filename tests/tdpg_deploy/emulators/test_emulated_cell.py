@@ -183,11 +183,13 @@ def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path:
         terminal.type("no\n")
         assert terminal.exit_code() == 2
     assert list(tmp_path.iterdir()) == []
+    assert np.allclose(cell.do("truth")["q"], before, atol=1e-4)
     with tdpg_run_in_a_terminal(cell, tmp_path, "--step") as terminal:
         terminal.wait_for("Type yes to go on: ")
         terminal.type("yes\n")
         terminal.wait_for("Go? (y/N) ")
-        assert np.allclose(cell.do("truth")["q"], before, atol=1e-3)  # it stood at home
+        cell.wait_for_rest()
+        assert np.allclose(cell.do("truth")["q"], cell.config.arm.home, atol=1e-3)
         terminal.type("y\n")
         cell.wait_for_motion()
         fastest = max(cell.do("truth")["speed"] for _ in range(100))
@@ -202,11 +204,44 @@ def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path:
     assert result.reason is EndReason.OPERATOR_STOP
 
 
+@pytest.mark.slow
+@pytest.mark.real_time
+@pytest.mark.parametrize(("answer", "safety"), [("yes", "NORMAL"), ("no", "PROTECTIVE_STOP")])
+def test_a_protective_stop_is_released_when_a_person_says_so(
+    cell: EmulatorRig, answer: str, safety: str, tmp_path: Path
+) -> None:
+    cell.do("reset")
+    with tdpg_run_in_a_terminal(cell, tmp_path) as terminal:
+        terminal.wait_for("Type yes to go on: ")
+        terminal.type("yes\n")
+        cell.wait_for_motion()
+        cell.do("protective_stop")
+        terminal.wait_for("ProtectiveStop: protective stop: look at the arm")
+        terminal.wait_for("Type yes to release it (nothing will move): ")
+        stopped_at = cell.do("truth")["q"]
+        terminal.type(f"{answer}\n")
+        assert terminal.exit_code() == 3
+    truth = cell.do("truth")
+    assert truth["safety"] == safety
+    assert np.allclose(truth["q"], stopped_at, atol=1e-3)
+    assert truth["runtime"] != "PLAYING"
+
+
 @contextmanager
 def tdpg_run_in_a_terminal(cell: EmulatorRig, out: Path, *options: str) -> Iterator[Terminal]:
     run = ("tdpg_deploy.cli.run", "--real", "--policy", "random", "--config", cell.file)
     with Terminal([sys.executable, "-m", *map(str, run), "--out", str(out), *options]) as terminal:
         yield terminal
+
+
+@pytest.mark.parametrize("pace", ["0", "4.5"])
+def test_a_pace_at_which_contacts_are_felt_too_late_is_refused(
+    pace: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        emulate(["--pace", pace])
+    assert ended.value.code == 2
+    assert "not within 0 to 4: the faster the cell, the later" in capsys.readouterr().err
 
 
 def test_a_taken_address_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

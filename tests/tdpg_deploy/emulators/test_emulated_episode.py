@@ -22,13 +22,10 @@ STORY = re.compile(r"LookDocument (Intent LookDocument Conclusion )+End")
 
 @pytest.mark.slow
 @pytest.mark.real_time
-@pytest.mark.parametrize("generation", ["cb3"])
-def test_the_shipped_policy_clears_a_table_as_in_the_mock_cell(
-    generation: str, tmp_path: Path
-) -> None:
+def test_the_shipped_policy_clears_a_table_as_in_the_mock_cell(tmp_path: Path) -> None:
     table = ("--objects", str(OBJECTS), "--seed", str(SEED))
     config = small_cell()
-    with emulator(config, *table, "--pace", "4", "--generation", generation) as rig:
+    with emulator(config, *table, "--pace", "4") as rig:
         told = ("--config", str(rig.file), "--seed", str(SEED))
         real = ("--real", "--unattended", "--speed", "1", "--out", str(tmp_path / "real"))
         assert main([*told, *real]) == 0
