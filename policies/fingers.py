@@ -44,6 +44,7 @@ def under_closed_fingers(heightmap: Heightmap) -> Ground:
     return _under(heightmap, along=along, across=across, apart=0.0)
 
 
+_THIN = 2 * PIXEL
 _AROUND = 36  # pixels beyond the map that a finger can touch
 
 
@@ -52,28 +53,38 @@ def _under(heightmap: Heightmap, *, along: float, across: float, apart: float) -
     the yaw. Beyond the map lies the table, as the cell's owner vouches."""
     seen = heightmap.valid
     smooth = cv2.medianBlur(np.where(seen, heightmap.height, np.float32(0)), 3)  # no lone specks
-    footprints, places = _footprints(along, across), _places(apart)
-    weights = torch.from_numpy(footprints[:, None].astype(np.float32))
-    weights /= weights.sum((2, 3), keepdim=True)
-    unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), _AROUND))
-    unknown = F.conv2d(unseen[None, None], weights, padding="same")[0].numpy()
-
     smooth = np.pad(smooth, _AROUND)
+    # One thin rectangle after the other covers what the whole one does, for a fourth of the work.
+    lengthwise = _footprints(along - _THIN, _THIN)
+    crosswise = _footprints(_THIN, across - _THIN)
+    unknown = _unknown(seen, along, across)
     highest = np.empty((HALF_TURN, SIZE, SIZE), np.float32)
     known = np.empty(highest.shape, np.bool_)
     inside = slice(_AROUND, _AROUND + SIZE)
-    for rotation, (footprint, place) in enumerate(zip(footprints, places, strict=True)):
-        at_each = cv2.dilate(smooth, footprint)
+    for rotation, place in enumerate(_places(apart)):
+        at_each = cv2.dilate(cv2.dilate(smooth, lengthwise[rotation]), crosswise[rotation])
         highest[rotation] = cv2.dilate(at_each, place)[inside, inside]
         at_each = cv2.dilate(unknown[rotation], place)
         known[rotation] = at_each[inside, inside] <= MAX_UNKNOWN
     return Ground(highest=highest, known=known)
 
 
+def _unknown(seen: npt.NDArray[np.bool_], along: float, across: float) -> Map:
+    """(8, n, n) share of the rectangle around each pixel, those beyond the map too, that was not
+    seen. Counted on pixels of twice the size: a sixteenth of the work, and near enough."""
+    unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), _AROUND))
+    footprints = _footprints(along, across, pixel=2 * PIXEL)
+    weights = torch.from_numpy(footprints[:, None].astype(np.float32))
+    weights /= weights.sum((2, 3), keepdim=True)
+    share = F.conv2d(F.avg_pool2d(unseen[None, None], 2), weights, padding="same")
+    unknown: Map = F.interpolate(share, scale_factor=2.0)[0].numpy()
+    return unknown
+
+
 @cache
-def _footprints(along: float, across: float) -> npt.NDArray[np.uint8]:
+def _footprints(along: float, across: float, pixel: float = PIXEL) -> npt.NDArray[np.uint8]:
     """(8, n, n) the pixels of a rectangle with these sides along and across each yaw."""
-    x, y, c, s = _around(int(np.hypot(along, across) / 2 / PIXEL))
+    x, y, c, s = _around(int(np.hypot(along, across) / 2 / pixel), pixel)
     u, v = c * x + s * y, c * y - s * x
     inside: npt.NDArray[np.bool_] = np.maximum(abs(u) - along / 2, abs(v) - across / 2) <= 1e-9
     return inside.astype(np.uint8)
@@ -82,7 +93,7 @@ def _footprints(along: float, across: float) -> npt.NDArray[np.uint8]:
 @cache
 def _places(apart: float) -> npt.NDArray[np.uint8]:
     """(8, n, n) the two pixels that lie `apart` metres from each other, along each yaw."""
-    x, y, c, s = _around(int(apart / 2 / PIXEL) + 1)
+    x, y, c, s = _around(int(apart / 2 / PIXEL) + 1, PIXEL)
     squared = (abs(c * x + s * y) - apart / 2) ** 2 + (c * y - s * x) ** 2
     # The two are as near as each other, or one and the same: rounding must not tell them apart.
     nearest: npt.NDArray[np.bool_] = squared <= squared.min(axis=(1, 2), keepdims=True) + 1e-12
@@ -90,7 +101,7 @@ def _places(apart: float) -> npt.NDArray[np.uint8]:
 
 
 def _around(
-    reach: int,
+    reach: int, pixel: float
 ) -> tuple[
     npt.NDArray[np.float64],
     npt.NDArray[np.float64],
@@ -98,7 +109,7 @@ def _around(
     npt.NDArray[np.float64],
 ]:
     """x, y of pixels (n, n) around one, in base (m); cosine and sine of each yaw (8, 1, 1)."""
-    pixels = np.arange(-reach, reach + 1) * PIXEL
+    pixels = np.arange(-reach, reach + 1) * pixel
     x, y = np.meshgrid(-pixels, -pixels, indexing="ij")
     yaw = np.arange(HALF_TURN)[:, None, None] * 2 * np.pi / ROTATIONS
     return x, y, np.cos(yaw), np.sin(yaw)
