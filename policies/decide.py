@@ -11,7 +11,8 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.fingers import HALF_TURN, have_room, under_closed_fingers, under_open_fingers
+from policies.fingers import HALF_TURN, under_closed_fingers, under_open_fingers
+from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import ROTATIONS, QMaps
 from policies.primitives import PUSH_LENGTH, Grasp, Primitive, Push

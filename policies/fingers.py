@@ -13,15 +13,9 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
+from policies.gripper import CLOSED_FINGERS, FINGER_DEPTH, MAX_UNKNOWN, OPEN_WIDTH, PAD_WIDTH
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import ROTATIONS
-
-OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
-PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
-FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
-MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
-MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...
-FLAT = 0.01  # m ... or less, where they come down no higher than this above the table
 
 HALF_TURN = ROTATIONS // 2
 Map = npt.NDArray[np.float32]
@@ -44,16 +38,10 @@ def under_open_fingers(heightmap: Heightmap) -> Ground:
     return _under(heightmap, along=FINGER_DEPTH, across=PAD_WIDTH, apart=OPEN_WIDTH + FINGER_DEPTH)
 
 
-def have_room(surface: npt.ArrayLike, ground: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Whether fingers reach deep enough below a surface that they are to grasp before they come
-    down on the ground beside it. Metres above the table; broadcast."""
-    deep_enough = np.asarray(surface) - np.float32(MIN_GRASP_DEPTH)
-    return np.asarray(ground) <= np.maximum(deep_enough, np.float32(FLAT))
-
-
 def under_closed_fingers(heightmap: Heightmap) -> Ground:
     """Where a push at each pixel comes down, its two fingers side by side across the travel."""
-    return _under(heightmap, along=PAD_WIDTH, across=2 * FINGER_DEPTH, apart=0.0)
+    along, across = CLOSED_FINGERS
+    return _under(heightmap, along=along, across=across, apart=0.0)
 
 
 _AROUND = 36  # pixels beyond the map that a finger can touch

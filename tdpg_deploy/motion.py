@@ -12,7 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from policies.fingers import FINGER_DEPTH, MAX_UNKNOWN, OPEN_WIDTH, PAD_WIDTH, have_room
+from policies.gripper import (
+    CLOSED_FINGERS,
+    FINGER_DEPTH,
+    MAX_UNKNOWN,
+    OPEN_WIDTH,
+    PAD_WIDTH,
+    have_room,
+)
 from policies.heightmap import Heightmap, Workspace
 from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy import kinematics
@@ -144,7 +151,8 @@ def grasp_footprints(grasp: Grasp) -> tuple[Rectangle, Rectangle]:
 
 def push_footprint(push: Push) -> Rectangle:
     """Where the closed fingers come down, side by side across the travel."""
-    return Rectangle(x=push.x, y=push.y, yaw=push.yaw, along=PAD_WIDTH, across=2 * FINGER_DEPTH)
+    along, across = CLOSED_FINGERS
+    return Rectangle(x=push.x, y=push.y, yaw=push.yaw, along=along, across=across)
 
 
 def room_ahead(push: Push, workspace: Workspace) -> float:

@@ -22,7 +22,13 @@ FOUNDATION = [
     "tdpg_deploy.hal",
 ]
 COMPILER = ["tdpg_deploy.compiled"]
-VALUES = ["policies.heightmap", "policies.primitives", "policies.policy", "policies.errors"]
+VALUES = [
+    "policies.heightmap",
+    "policies.primitives",
+    "policies.policy",
+    "policies.gripper",
+    "policies.errors",
+]
 STEP = ["tdpg_deploy.plan", "tdpg_deploy.outcome"]
 
 # The first matching prefix rules. None: may import everything but what nobody may.

@@ -14,6 +14,13 @@ from policies.networks.two_towers import TwoTowerNet
 
 # What `width` may be: channels of the light network at stride 2, DenseNet's growth rate.
 WIDTHS = {"light": range(4, 65), "densenet121": range(GROWTH, GROWTH + 1)}
+# Weights of first layers, whose last input channel is the goal mask where there is one.
+ENTRANCES = {
+    "light": ("stem.weight",),
+    "densenet121": tuple(
+        f"{tower}.features.conv0.weight" for tower in ("color_tower", "depth_tower")
+    ),
+}
 
 
 def build(kind: str, *, goal: bool, width: int) -> Network:

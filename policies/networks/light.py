@@ -72,12 +72,7 @@ class LightNet(Network):
         self, patches: torch.Tensor, places: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """What `forward` and `evaluate` say of one action a patch, for a third of the work:
-        each layer runs only where the next ones need it.
-
-        patches: (n, 6 or 7, PATCH, PATCH) around the places (n, 2), which are no more than
-        STRIDE / 2 pixels from the middle. Returns Q_push, Q_grasp and the logit of P_success,
-        (n,) each.
-        """
+        each layer runs only where the next ones need it."""
         inside4 = patches[:, :1, 2::4, 2::4]
         inside8 = patches[:, :1, 4::8, 4::8]
         # Slices name the cells of the whole patch that are left after convolving without padding.

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,17 +118,11 @@ def choose_scene(args: argparse.Namespace, config: CellConfig, rng: np.random.Ge
     workspace = workspace_of(config)
     if args.scene is None:
         scene = random_scene(args.objects, workspace, rng)
-        return with_goal(scene, int(rng.integers(args.objects))) if args.goal else scene
+        return scene.with_goal(int(rng.integers(args.objects))) if args.goal else scene
     scene = load_scene(args.scene, workspace)
     if args.goal and not any(item.goal for item in scene.objects):
         raise ConfigError(f"--goal: no object of {args.scene} is marked goal = true: mark one")
     return scene
-
-
-def with_goal(scene: Scene, index: int) -> Scene:
-    """The scene with this object, and no other, as the one to fetch."""
-    objects = (replace(item, goal=i == index) for i, item in enumerate(scene.objects))
-    return Scene(objects=tuple(objects))
 
 
 def slowed(config: CellConfig, share: float) -> CellConfig:

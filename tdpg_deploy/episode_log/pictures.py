@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from policies.fingers import OPEN_WIDTH
+from policies.gripper import OPEN_WIDTH
 from policies.heightmap import PIXEL, Heightmap, Workspace
 from policies.policy import Decision
 from policies.primitives import Primitive, Push

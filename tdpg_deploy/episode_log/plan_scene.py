@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 
-from policies.fingers import OPEN_WIDTH
+from policies.gripper import OPEN_WIDTH
 from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.channels import BASE
 from tdpg_deploy.episode_log.messages import timestamp, vector

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,10 @@ from tdpg_deploy.sim.bodies import SHAPES, Shape
 MAX_OBJECTS = 30  # the paper's densest scenes
 SPAWN_CLEARANCE = 0.01  # m between objects before they fall
 SPAWN_MARGIN = 0.03  # m between the outermost objects and the border, before they fall
+MAX_PACKED = 9
+PACK_WIDTH = 0.20  # m of a row, at most
+PACK_GAP = 0.002  # m between neighbours at most; a finger is 18 mm thick
+PACK_SHIFT = 0.02  # m of a row against the one before
 MAX_HEIGHT = 2.0  # m above the table
 
 # Tableau's ten colours, as in VPG: blue, orange, green, red, purple, brown, pink, grey, gold, teal.
@@ -94,6 +98,61 @@ def random_scene(
             )
         )
     return Scene(objects=tuple(objects))
+
+
+def packed_scene(n: int, workspace: Workspace, rng: np.random.Generator) -> Scene:
+    """n objects of up to three kinds that stand upright in rows, so close that no finger fits
+    between them, the whole of it somewhere and turned somehow. Raises SceneError for n outside of
+    1..9."""
+    if not 1 <= n <= MAX_PACKED:
+        raise SceneError(f"{n} objects asked for in a pack: ask for 1 to {MAX_PACKED}")
+    names = sorted(SHAPES)
+    room = -1.0
+    while room < 0:  # a pack of long ones may be larger than the workspace
+        kinds = [
+            (SHAPES[name], Rotation.from_euler("z", np.pi / 2 * rng.integers(2)))
+            for name in rng.choice(names, rng.integers(1, 4))
+        ]
+        shapes, turns = zip(*(kinds[rng.integers(len(kinds))] for _ in range(n)), strict=True)
+        boxes = [
+            np.ptp(turn.apply(shape.vertices), axis=0)
+            for shape, turn in zip(shapes, turns, strict=True)
+        ]
+        corners = _in_rows(boxes, rng)
+        across = np.max(
+            [corner + box[:2] for corner, box in zip(corners, boxes, strict=True)], axis=0
+        )
+        room = workspace.side / 2 - SPAWN_MARGIN - np.hypot(*across) / 2
+
+    whole = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
+    middle = np.array([workspace.x_min, workspace.y_min]) + workspace.side / 2
+    middle += rng.uniform(-room, room, 2)
+    objects = []
+    for index, (shape, turn, corner) in enumerate(zip(shapes, turns, corners, strict=True)):
+        low = turn.apply(shape.vertices).min(axis=0)
+        place = whole.apply([*(corner - across / 2 - low[:2]), 0.0])
+        position = np.array([*(middle + place[:2]), workspace.table_z - low[2]])
+        objects.append(
+            SceneObject(
+                shape=shape,
+                X_base_object=Transform(whole * turn, position),
+                rgb=PALETTE[index % len(PALETTE)],
+            )
+        )
+    return Scene(objects=tuple(objects))
+
+
+def _in_rows(boxes: Sequence[Array], rng: np.random.Generator) -> list[Array]:
+    """Lower corners (x, y) of boxes, side by side in rows of PACK_WIDTH."""
+    corners = []
+    x = y = deepest = 0.0
+    for box in boxes:
+        if x and x + box[0] > PACK_WIDTH:
+            x, y, deepest = rng.uniform(0, PACK_SHIFT), y + deepest, 0.0
+        corners.append(np.array([x, y]))
+        gap = rng.uniform(0.0003, PACK_GAP)
+        x, deepest = x + box[0] + gap, max(deepest, box[1] + gap)
+    return corners
 
 
 class Spawner:

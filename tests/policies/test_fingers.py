@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tables import WORKSPACE, table_with
 
-from policies.fingers import Ground, have_room, under_closed_fingers, under_open_fingers
+from policies.fingers import Ground, under_closed_fingers, under_open_fingers
+from policies.gripper import have_room
 from policies.heightmap import SIZE, Heightmap
 from policies.policy import ROTATIONS
 from policies.primitives import Grasp, Push
@@ -41,7 +42,7 @@ def agrees(
     if unknown < 0.05:
         assert ground.known[at]
         highest = max(0.0, *(ground.highest for ground in exact))
-        assert abs(ground.highest[at] - highest) < 0.006
+        assert abs(ground.highest[at] - highest) < 0.012
     elif unknown > 0.35:
         assert not ground.known[at]
 

@@ -237,7 +237,7 @@ def test_push_runs_just_above_what_it_comes_down_on() -> None:
     z = linear(plan_primitive(push, seen, CONFIG), "push").X_base_tool.translation[2]
     assert z == pytest.approx(TABLE_Z + 0.001 + clearance, abs=1e-6)
     row, col = WORKSPACE.to_pixel(0.45, 0.0)
-    seen.height[row - 2 : row + 2, col - 2 : col + 2] = 0.03
+    seen.height[row - 4 : row + 4, col - 4 : col + 4] = 0.03
     z = linear(plan_primitive(push, seen, CONFIG), "push").X_base_tool.translation[2]
     assert z == pytest.approx(TABLE_Z + 0.03 + clearance, abs=1e-6)
 
@@ -270,7 +270,7 @@ def test_push_into_the_unknown_may_not_start_there() -> None:
     push = Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0)
     start = push_footprint(push)
     row, col = WORKSPACE.to_pixel(start.x, start.y)
-    seen.height[row - 4 : row + 4, col - 4 : col + 4] = np.nan
+    seen.height[row - 6 : row + 6, col - 6 : col + 6] = np.nan
     with pytest.raises(PlanRefused, match="unknown"):
         plan_primitive(push, seen, CONFIG)
 

@@ -10,6 +10,7 @@ import torch
 from policies.heightmap import SIZE, Heightmap, Workspace
 from policies.learned import LearnedPolicy
 from policies.methods import METHODS
+from policies.networks.build import build
 from policies.networks.light import LightNet
 from policies.rotation import patches, sample
 from policies.state import encode
@@ -91,6 +92,39 @@ def test_the_target_is_reward_plus_discounted_best_grasp_of_what_follows(tmp_pat
     with torch.no_grad():
         q = back_to_map(network(pictures(encode(following, goal=False))).grasp)[:, 0]
     assert value.item() == pytest.approx(max(q[k, r, c].item() for k, r, c in grasps), abs=1e-4)
+
+
+def test_vpg_looks_ahead_to_pushes_too(tmp_path: Path) -> None:
+    network = LightNet(goal=False, width=8)
+    assert network.push_net.bias is not None
+    torch.nn.init.constant_(network.push_net.bias, 5.0)
+    look = cube_at(100, 100)
+    transitions = np.zeros(2, TRANSITION)
+    transitions["next_grasps"] = [0, 100, 100]
+    transitions["next_push"] = [(3, 60, 100), (-1, -1, -1)]
+    replay = Replay(tmp_path, 2)
+    replay.extend(pack_height(look.height)[None], look.color[None], transitions)
+    for next_action, pushes_count in (("grasp", False), ("either", True)):
+        learner = Learner(network, Learning.model_validate({"next_action": next_action}))
+        with_push, without = learner.value_of_next(replay, replay.transitions[:2]).tolist()
+        assert (with_push > 3.0) == pushes_count
+        assert without < 1.0
+
+
+@pytest.mark.slow
+def test_the_paper_s_network_learns_by_the_same_lines(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    replay = replay_of_cubes(tmp_path, 4)
+    network = build("densenet121", goal=False, width=32)
+    before = copy.deepcopy(network.state_dict())
+    learner = Learner(network, Learning(discount=0.0, batch=2))
+    learner.update(replay, np.random.default_rng(0), importance=1.0)
+    learnt = {
+        name.split(".")[0]
+        for name, weight in network.state_dict().items()
+        if not torch.equal(weight, before[name])
+    }
+    assert learnt == {"color_tower", "depth_tower", "push_net", "grasp_net", "evaluation_net"}
 
 
 def test_nothing_follows_the_end_of_a_trial(tmp_path: Path) -> None:

@@ -58,7 +58,8 @@ def decision(kind: str, best_grasp: float) -> Decision:
     )
 
 
-def outcome(kind: str, success: Verdict) -> Outcome:
+def outcome(kind: str, success: Verdict, *, gone: Verdict | None = None) -> Outcome:
+    """gone: what the map says of a grasp, when it disagrees with the pads."""
     if kind == "push":
         return PushOutcome(motion=MOTION, travelled=0.1, changed=success)
     nan = math.nan
@@ -67,7 +68,7 @@ def outcome(kind: str, success: Verdict) -> Outcome:
         width_after_close=nan,
         width_after_lift=nan,
         held_by_width=success,
-        gone_from_map=success,
+        gone_from_map=gone or success,
     )
 
 
@@ -79,13 +80,20 @@ class Trial:
         self._look(goal)
 
     def act(
-        self, kind: str, success: Verdict, *, best_grasp: float = 0.0, goal: bool | None = None
+        self,
+        kind: str,
+        success: Verdict,
+        *,
+        best_grasp: float = 0.0,
+        goal: bool | None = None,
+        gone: Verdict | None = None,
     ) -> Trial:
-        """best_grasp: its value before the action; goal: what is seen of it afterwards."""
+        """best_grasp: its value before the action; goal: what is seen of it afterwards; gone: as
+        in `outcome`."""
         chosen = decision(kind, best_grasp)
         self.note.intend(chosen, Plan(primitive=chosen.primitive, approach=()), stamp=0.0)
         self._look(goal)
-        self.note.conclude(outcome(kind, success), stamp=1.0)
+        self.note.conclude(outcome(kind, success, gone=gone), stamp=1.0)
         return self
 
     def end(self, reason: EndReason = EndReason.CLEARED) -> npt.NDArray[np.void]:
@@ -142,6 +150,24 @@ def test_each_part_of_the_reward_can_be_switched_off() -> None:
     assert worth(PushReward(rose=0.5, validated=0)) == 0.5
     assert worth(PushReward(rose=0, validated=0.25)) == 0.25
     assert worth(PushReward(rose=0, validated=0, changed=0.125)) == 0.125
+
+
+@pytest.mark.parametrize(
+    ("rise", "moved", "reward"), [(0.2, YES, 1.0), (0.05, YES, 0.5), (0.2, NO, 0)]
+)
+def test_a_rise_by_noise_and_an_idle_push_need_not_count(
+    rise: float, moved: Verdict, reward: float
+) -> None:
+    trial = Trial(PushReward(least_rise=0.1, idle=0.0)).act("push", moved, best_grasp=0.1)
+    transitions = trial.act("grasp", YES, best_grasp=0.1 + rise).end()
+    assert transitions["reward"][transitions["push"]].item() == pytest.approx(reward)
+
+
+def test_what_was_knocked_over_was_not_grasped() -> None:
+    trial = Trial()
+    trial.act("grasp", NO, gone=YES).act("grasp", YES, gone=NO)
+    (grasp,) = trial.end()  # the second disagreement teaches nothing
+    assert grasp["reward"] == grasp["grasped"] == 0
 
 
 def test_a_push_that_another_push_follows_is_not_validated() -> None:

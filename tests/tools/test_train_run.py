@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
+from policies.networks.densenet import DenseNet121
 from policies.networks.light import LightNet
 from tdpg_deploy.errors import ConfigError
 from tools.train import trainer
@@ -130,6 +131,40 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "p", LightNet(goal=False, width=8), config, {})
     with pytest.raises(ConfigError, match="width is 8, the experiment's is 4"):
         Run(SMALL.model_copy(update={"start": tmp_path / "p"}), tmp_path)
+
+
+def test_both_towers_begin_with_imagenet_weights(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    tower = DenseNet121()
+    torch.save(tower.state_dict(), tmp_path / "densenet121.pth")
+    config = overridden(
+        SMALL.model_copy(update={"network": "densenet121", "width": 32}),
+        imagenet=tmp_path / "densenet121.pth",
+    )
+    weights = load_checkpoint(Run(config, tmp_path / "run").freeze()).weights
+    expected = tower.state_dict()["features.denseblock1.denselayer1.conv1.weight"]
+    for name in ("color_tower", "depth_tower"):
+        actual = weights[f"{name}.features.denseblock1.denselayer1.conv1.weight"]
+        torch.testing.assert_close(actual, expected, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("content", [b"", b"not weights", None])
+def test_what_is_no_densenet_is_refused(tmp_path: Path, content: bytes | None) -> None:
+    file = tmp_path / "densenet121.pth"
+    if content is None:
+        torch.save({"features.conv0.weight": torch.zeros(64, 3, 7, 7)}, file)
+    else:
+        file.write_bytes(content)
+    config = SMALL.model_copy(update={"network": "densenet121", "width": 32, "imagenet": file})
+    with pytest.raises(ConfigError, match="not torchvision's densenet121"):
+        Run(config, tmp_path / "run")
+
+
+def test_a_width_that_the_network_cannot_have_is_refused() -> None:
+    with pytest.raises(ConfigError, match="width = 4 is not within 32 to 32 for densenet121"):
+        overridden(SMALL.model_copy(update={"network": "densenet121"}))
+    with pytest.raises(ConfigError, match="imagenet weights are densenet121's"):
+        overridden(SMALL, imagenet=Path("densenet121.pth"))
 
 
 def test_stages_follow_each_other() -> None:

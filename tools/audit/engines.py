@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from enum import Enum
-from multiprocessing import get_context
 from typing import Any, TypeVar
 
 from tdpg_deploy.errors import ConfigError
+from tools.pool import process_pool
 
 AHEAD = 4  # tasks in the works or waiting, for each worker: memory does not grow with their number
 
@@ -33,7 +33,7 @@ def in_parallel(
 
 
 def _by_processes(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> Iterator[R]:
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         yield from _in_order(
             lambda task: pool.submit(work, task), Future.result, tasks, AHEAD * workers
         )

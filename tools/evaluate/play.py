@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from policies.shipped import open_policy
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.session import log_episode
 from tools.evaluate.tables import Table
+from tools.pool import process_pool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +31,8 @@ def play_all(trials: Sequence[Trial], *, workers: int) -> Iterator[Trial]:
     Ctrl-C lets the episodes that are under way come to their end: a log that the operator ended
     would count as the policy's failure.
     """
-    with ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=_ignore_ctrl_c
-    ) as pool:
+    with process_pool(workers) as pool:
         yield from pool.map(_play, trials)
-
-
-def _ignore_ctrl_c() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _play(trial: Trial) -> Trial:

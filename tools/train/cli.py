@@ -29,6 +29,9 @@ def parser() -> argparse.ArgumentParser:
     )
     which.add_argument("--experiment", type=Path, metavar="FILE", help="an experiment's TOML file")
     p.add_argument("--from", type=Path, dest="start", metavar="FILE", help="policy to begin with")
+    p.add_argument(
+        "--imagenet", type=Path, metavar="FILE", help="torchvision's densenet121 to begin with"
+    )
     p.add_argument("--actions", type=int, metavar="N", help="of each stage, not the experiment's")
     p.add_argument("--seed", type=int, metavar="N", help="instead of the experiment's")
     p.add_argument("--workers", type=int, metavar="N", help="processes that play")
@@ -62,6 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             seed=args.seed,
             workers=args.workers,
             start=args.start,
+            imagenet=args.imagenet,
         )
         with Progress(
             BarColumn(),

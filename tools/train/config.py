@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from policies.networks.build import WIDTHS
 from tdpg_deploy.errors import ConfigError
 
 if sys.version_info >= (3, 11):
@@ -31,6 +32,7 @@ class Stage(_Section):
     actions: int = Field(ge=1)
     min_objects: int = Field(10, ge=1, le=30)
     max_objects: int = Field(10, ge=1, le=30)
+    packed: float = Field(0.0, ge=0, le=1, description="share of tables that are one tight pack")
 
     @model_validator(mode="after")
     def _least_is_not_above_most(self) -> Stage:
@@ -56,13 +58,17 @@ class Rollout(_Section):
 class PushReward(_Section):
     """What a push is worth: the sum of what holds. A grasp is worth 1 if it succeeds.
 
-    rose: the best grasp's value rose (paper, eq. 3). validated: the grasp that followed
-    succeeded (eq. 4). changed: something moved (VPG; nothing in this paper).
+    rose: the best grasp's value rose, by more than `least_rise` (paper, eq. 3, which asks for no
+    more than a rise: between two looks at the same table noise makes every other one). validated:
+    the grasp that followed succeeded (eq. 4). changed: something moved (VPG; nothing in this
+    paper). idle: share of all this for a push that moved nothing; the paper does not ask.
     """
 
     rose: float = Field(0.5, ge=0)
+    least_rise: float = Field(0.0, ge=0)
     validated: float = Field(0.5, ge=0)
     changed: float = Field(0.0, ge=0)
+    idle: float = Field(1.0, ge=0, le=1)
 
 
 class Randomization(_Section):
@@ -91,6 +97,9 @@ class Learning(_Section):
     next_grasps: int = Field(
         10, ge=1, le=10, description="best of the next look whose values are refreshed"
     )
+    next_action: Literal["grasp", "either"] = Field(
+        "grasp", description="whose value is looked ahead to: eq. 1 of the paper, or VPG's"
+    )
     batch: int = Field(64, ge=1)
     updates_per_action: float = Field(1.0, gt=0)
     warmup: int = Field(64, ge=1, description="transitions before the first update")
@@ -111,14 +120,17 @@ class Evaluation(_Section):
 
 
 class TrainConfig(_Section):
-    """width: of the light network, at stride 2. goal: fetch objects instead of clearing the
-    table. critic_two: train it, and let it have its say (else TDPG-base). start: a policy file
-    whose weights the run begins with."""
+    """width: of the light network, at stride 2; of densenet121, its growth rate. goal: fetch
+    objects instead of clearing the table. critic_two: train it, and let it have its say (else
+    TDPG-base). imagenet: torchvision's densenet121 state dict, which both towers begin with.
+    start: a policy file whose weights the run begins with."""
 
     seed: int = 0
-    width: int = Field(16, ge=4, le=64)
+    network: Literal["light", "densenet121"] = "light"
+    width: int = 16
     goal: bool = False
     critic_two: bool = True
+    imagenet: Path | None = None
     start: Path | None = None
     stages: tuple[Stage, ...] = Field(min_length=1)
     rollout: Rollout = Rollout()
@@ -126,6 +138,17 @@ class TrainConfig(_Section):
     randomization: Randomization = Randomization()
     learning: Learning = Learning()
     evaluation: Evaluation = Evaluation()
+
+    @model_validator(mode="after")
+    def _network_exists(self) -> TrainConfig:
+        widths = WIDTHS[self.network]
+        if self.width not in widths:
+            raise ValueError(
+                f"width = {self.width} is not within {widths[0]} to {widths[-1]} for {self.network}"
+            )
+        if self.imagenet is not None and self.network != "densenet121":
+            raise ValueError(f"imagenet weights are densenet121's, the network is {self.network}")
+        return self
 
     @property
     def actions(self) -> int:
@@ -148,6 +171,7 @@ def overridden(
     seed: int | None = None,
     workers: int | None = None,
     start: Path | None = None,
+    imagenet: Path | None = None,
 ) -> TrainConfig:
     """The same experiment but for what is not None; actions are those of each stage.
     Raises ConfigError."""
@@ -161,6 +185,8 @@ def overridden(
         data["rollout"]["workers"] = workers
     if start is not None:
         data["start"] = start.absolute()
+    if imagenet is not None:
+        data["imagenet"] = imagenet.absolute()
     try:
         return TrainConfig.model_validate(data)
     except ValidationError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,8 @@ from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode import run_episode
 from tdpg_deploy.episode_record import NullRecorder
-from tdpg_deploy.sim.scenes import Scene, random_scene
-from tdpg_deploy.workspace import workspace_of
 from tools.evaluate.metrics import EpisodeRow, Estimate, evaluate
+from tools.evaluate.tables import RandomTable
 from tools.train.curve import Validation
 
 
@@ -29,25 +28,25 @@ class JudgeTask:
 
 
 def judge(task: JudgeTask) -> EpisodeRow:
-    """One episode. With a goal, one random object is to be fetched."""
+    """One episode. With a goal, one of the objects in sight is to be fetched."""
     import torch
 
     torch.set_num_threads(1)  # one core a worker
     policy = load_checkpoint(task.weights).policy()
     rng = np.random.default_rng(task.seed)
-    scene = random_scene(task.objects, workspace_of(task.cell), rng)
-    if policy.goal:
-        scene = _with_goal(scene, int(rng.integers(task.objects)))
+    table = RandomTable(objects=task.objects)
+    scene = table.scene(task.cell, task.seed, goal=policy.goal)
     with open_cell(task.cell, scene=scene, seed=task.seed) as cell:
         result = run_episode(cell, policy, rng=rng, log=NullRecorder(), goal=policy.goal)
     return EpisodeRow(
-        scene=f"random {task.objects}",
+        scene=table.name,
         seed=task.seed,
         reason=result.reason,
         objects=1 if policy.goal else task.objects,
         actions=result.actions,
         grasps=result.grasps,
         grasp_successes=result.grasp_successes,
+        goal=policy.goal,
     )
 
 
@@ -67,9 +66,3 @@ def summed_up(rows: Sequence[EpisodeRow]) -> Validation | None:
 
 def _or_none(estimate: Estimate) -> float | None:
     return None if math.isnan(estimate.value) else estimate.value
-
-
-def _with_goal(scene: Scene, goal: int) -> Scene:
-    objects = list(scene.objects)
-    objects[goal] = replace(objects[goal], goal=True)
-    return Scene(objects=tuple(objects))

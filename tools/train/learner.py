@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 
 from policies.heightmap import Heightmap, Workspace
-from policies.networks.light import LightNet
+from policies.networks.maps import Network
 from policies.rotation import patches
 from policies.state import BLUE, RED, encode
 from tools.train.config import Learning
@@ -23,7 +23,7 @@ class Learner:
     critic_two: whether EvaluationNet learns too.
     """
 
-    def __init__(self, network: LightNet, learning: Learning, *, critic_two: bool = True) -> None:
+    def __init__(self, network: Network, learning: Learning, *, critic_two: bool = True) -> None:
         self.network = network
         self._learning = learning
         self._critic_two = critic_two
@@ -64,8 +64,8 @@ class Learner:
             torch.from_numpy(batch["rotation"].astype(np.int64)),
             torch.from_numpy(batch["row"].astype(np.int64)),
             torch.from_numpy(batch["col"].astype(np.int64)),
-            size=LightNet.PATCH,
-            stride=LightNet.STRIDE,
+            size=self.network.PATCH,
+            stride=self.network.STRIDE,
         )
         cuts, places = augmented(cuts, places, batch["push"], rng)
         cuts = cuts.contiguous(memory_format=torch.channels_last)
@@ -92,24 +92,32 @@ class Learner:
 
     @torch.no_grad()
     def value_of_next(self, replay: Replay, batch: npt.NDArray[np.void]) -> torch.Tensor:
-        """max Q_grasp(s', a') over the grasps that were best when s' was seen (paper, eq. 1): the
-        stored label is refreshed with today's weights."""
+        """max Q_grasp(s', a') over the grasps that were best when s' was seen (paper, eq. 1), and
+        Q_push of the push that was where pushes count too (VPG): the stored label is refreshed
+        with today's weights."""
         value = torch.zeros(len(batch))
         going_on = np.flatnonzero(batch["next_look"] >= 0)
         if going_on.size == 0:
             return value
-        best = batch["next_grasps"][going_on, : self._learning.next_grasps]
+        following = batch[going_on]
+        best = following["next_grasps"][:, : self._learning.next_grasps]
+        if self._learning.next_action == "either":
+            best = np.concatenate((best, following["next_push"][:, None]), 1)
         actions = best.astype(np.int64)
         count = actions.shape[1]
-        states = _states(replay, batch["next_look"][going_on])
+        states = _states(replay, following["next_look"])
         cuts, places = patches(
             [state for state in states for _ in range(count)],
             *(torch.from_numpy(actions[..., i].reshape(-1)) for i in range(3)),
-            size=LightNet.PATCH,
-            stride=LightNet.STRIDE,
+            size=self.network.PATCH,
+            stride=self.network.STRIDE,
         )
-        _, q, _ = self.network.at(cuts, places)
-        value[torch.from_numpy(going_on)] = q.view(-1, count).amax(1)
+        push, grasp, _ = self.network.at(cuts, places)
+        q = grasp.view(-1, count)
+        if self._learning.next_action == "either":
+            possible = torch.from_numpy(following["next_push"][:, 0] >= 0)
+            q[:, -1] = torch.where(possible, push.view(-1, count)[:, -1], -torch.inf)
+        value[torch.from_numpy(going_on)] = q.amax(1)
         return value
 
 

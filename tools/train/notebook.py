@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from policies.decide import best_grasps
+from policies.decide import best_grasps, best_push
 from policies.heightmap import Heightmap
 from policies.policy import Decision, QMaps
 from policies.primitives import Push
 from tdpg_deploy.episode import took_goal
 from tdpg_deploy.episode_record import EpisodeResult, NullRecorder
 from tdpg_deploy.hal import RgbdFrame
-from tdpg_deploy.outcome import EndReason, Outcome, Verdict
+from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
 from tdpg_deploy.plan import Plan
 from tools.train.config import PushReward
 from tools.train.replay import CANDIDATES, TRANSITION, pack_goal, pack_height
@@ -33,12 +33,14 @@ class Experience:
 
 @dataclass(kw_only=True)
 class _Step:
-    """An action and what is known of it so far. value: of the best grasp when it was chosen."""
+    """An action and what is known of it so far. value: of the best grasp when it was chosen.
+    idle: it was a push that moved nothing."""
 
     transition: npt.NDArray[np.void]
     decision: Decision
     before: Heightmap
     value: float
+    idle: bool = False
 
     @property
     def is_push(self) -> bool:
@@ -82,7 +84,7 @@ class Notebook(NullRecorder):
             self._follow(self._last, decision.maps)
         transition = np.zeros((), TRANSITION)
         transition["look"] = self._latest
-        transition["next_look"] = transition["grasped"] = -1
+        transition["next_look"] = transition["grasped"] = transition["next_push"] = -1
         transition["push"] = isinstance(decision.primitive, Push)
         for name in ("rotation", "row", "col"):
             transition[name] = getattr(decision, name)
@@ -97,8 +99,9 @@ class Notebook(NullRecorder):
         step, self._doing = self._doing, None
         assert step is not None
         self.actions += 1
-        success = outcome.success
+        success = _taught(outcome)
         if step.is_push:
+            step.idle = success is Verdict.NO
             step.transition["reward"] = self._reward.changed * (success is Verdict.YES)
         else:
             success = self._of_goal(step, success)
@@ -168,13 +171,27 @@ class Notebook(NullRecorder):
             grasps += [grasps[0]] * (CANDIDATES - len(grasps))
             step.transition["next_look"] = self._latest
             step.transition["next_grasps"] = grasps
-        if step.is_push and float(maps.grasp.max()) > step.value:
-            step.transition["reward"] += self._reward.rose
+            push = best_push(maps, self._rng)
+            if push is not None:
+                step.transition["next_push"] = push.rotation, push.row, push.col
+        if step.is_push and float(maps.grasp.max()) > step.value + self._reward.least_rise:
+            step.transition["reward"] += self._reward.rose * self._share(step)
 
     def _validate(self, push: _Step, step: _Step, success: Verdict) -> None:
         """Reward a push by the grasp that followed (paper, eq. 4)."""
         if success is Verdict.UNKNOWN and not step.is_push:
             return
         if not step.is_push and success is Verdict.YES:
-            push.transition["reward"] += self._reward.validated
+            push.transition["reward"] += self._reward.validated * self._share(push)
         self._transitions.append(push.transition)
+
+    def _share(self, push: _Step) -> float:
+        return self._reward.idle if push.idle else 1.0
+
+
+def _taught(outcome: Outcome) -> Verdict:
+    """Success as a lesson. Pads that hold nothing have failed, even when the map has changed
+    there, which the outcome calls unknown: what they knocked over was not grasped."""
+    if isinstance(outcome, GraspOutcome) and outcome.held_by_width is Verdict.NO:
+        return Verdict.NO
+    return outcome.success

@@ -30,6 +30,7 @@ TRANSITION = np.dtype(
         ("reward", "f4"),
         ("grasped", "i1"),  # label of Critic II: 1, 0, or -1 where no grasp was tried
         ("next_grasps", "i2", (CANDIDATES, 3)),  # rotation, row, col
+        ("next_push", "i2", 3),  # the best push of the next look; -1 where none is allowed
     ]
 )
 

@@ -13,13 +13,14 @@ import numpy as np
 
 from policies.checkpoint import load_checkpoint
 from policies.errors import NoActionError
+from policies.heightmap import Workspace
 from policies.policy import Decider, QMaps
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode import GOAL_PIXELS, run_episode
 from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.sim.goal import GoalDetector
-from tdpg_deploy.sim.scenes import random_scene
+from tdpg_deploy.sim.scenes import MAX_PACKED, Scene, packed_scene, random_scene
 from tdpg_deploy.workspace import workspace_of
 from tools.train.config import PushReward, Randomization, Stage
 from tools.train.explore import Exploring
@@ -52,8 +53,7 @@ def play(task: RolloutTask) -> Experience:
     player = Exploring(policy, task.stage.kind, task.epsilon, pushed=lambda: note.pushed)
     while note.actions < task.actions:
         config = randomized(task.cell, task.randomization, rng)
-        count = int(rng.integers(task.stage.min_objects, task.stage.max_objects + 1))
-        scene = random_scene(count, workspace_of(config), rng)
+        scene = _scene(task.stage, workspace_of(config), rng)
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
             for _ in _goals(cell, rng) if policy.goal else [None]:
                 cell.config = _with_budget(config, task.actions - note.actions)
@@ -62,6 +62,13 @@ def play(task: RolloutTask) -> Experience:
                     note.cut_short(_maps(policy, note, rng))
                     break
     return note.experience()
+
+
+def _scene(stage: Stage, workspace: Workspace, rng: np.random.Generator) -> Scene:
+    if rng.random() < stage.packed:
+        return packed_scene(int(rng.integers(2, MAX_PACKED + 1)), workspace, rng)
+    count = int(rng.integers(stage.min_objects, stage.max_objects + 1))
+    return random_scene(count, workspace, rng)
 
 
 def _goals(cell: Cell, rng: np.random.Generator) -> Iterator[int]:

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,10 @@ import torch
 import torch.nn.functional as F
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
-from policies.networks.light import LightNet
+from policies.networks.build import ENTRANCES, build
+from policies.networks.densenet import DenseNet121
+from policies.networks.maps import Network
+from policies.networks.two_towers import TwoTowerNet
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode_log import software
 from tdpg_deploy.errors import ConfigError
@@ -44,7 +48,7 @@ class Run:
         capacity = 2 * config.actions  # a transition keeps two looks at most
         self._replay = Replay(directory / "replay", capacity, goal=config.goal)
         torch.manual_seed(config.seed)
-        network = LightNet(goal=config.goal, width=config.width)
+        network = build(config.network, goal=config.goal, width=config.width)
         self.round = 0
         self._played = 0
         self._updates = 0
@@ -66,6 +70,10 @@ class Run:
             weights, self._start = _begin_with(config.start, self._policy("grasp"))
             self._actor.load_state_dict(weights)
             self._learner.network.load_state_dict(weights)
+        elif config.imagenet is not None:
+            for beginner in (self._actor, self._learner.network):
+                assert isinstance(beginner, TwoTowerNet)
+                beginner.load_imagenet(_imagenet(config.imagenet))
 
     @property
     def done(self) -> bool:
@@ -195,10 +203,13 @@ class Run:
         synergy = "tdpg" if self._config.critic_two else "tdpg-base"
         method = {"grasp": "grasp-only", "push": "tdpg-base", "synergy": synergy}[kind]
         return PolicyConfig(
-            network="light", width=self._config.width, goal=self._config.goal, method=method
+            network=self._config.network,
+            width=self._config.width,
+            goal=self._config.goal,
+            method=method,
         )
 
-    def _save_policy(self, path: Path, network: LightNet, kind: StageKind) -> None:
+    def _save_policy(self, path: Path, network: Network, kind: StageKind) -> None:
         provenance: dict[str, Any] = {
             "experiment": self._config.model_dump(mode="json", exclude={"start"}),
             "start": self._start,
@@ -234,12 +245,23 @@ def _begin_with(path: Path, policy: PolicyConfig) -> tuple[dict[str, torch.Tenso
     if start.config.goal and not policy.goal:
         raise ConfigError(f"{path}: these weights expect a goal, the experiment has none")
     if policy.goal and not start.config.goal:
-        weights["stem.weight"] = F.pad(weights["stem.weight"], (0, 0, 0, 0, 0, 1))
+        for name in ENTRANCES[policy.network]:
+            weights[name] = F.pad(weights[name], (0, 0, 0, 0, 0, 1))
     earlier = start.provenance.get("start") or {"actions": 0}
     return weights, {
         "sha256": start.sha256,
         "actions": start.provenance.get("actions", 0) + earlier["actions"],
     }
+
+
+def _imagenet(path: Path) -> dict[str, torch.Tensor]:
+    """Raises ConfigError when it is not torchvision's densenet121."""
+    try:
+        weights: dict[str, torch.Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+        DenseNet121().load_imagenet(weights)
+    except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError) as error:
+        raise ConfigError(f"{path}: not torchvision's densenet121 weights: {error}") from error
+    return weights
 
 
 def _between(first: float, last: float, share: float) -> float:

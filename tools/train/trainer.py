@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import torch
 
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.errors import ConfigError
+from tools.pool import process_pool
 from tools.train.config import TrainConfig
 from tools.train.curve import Curve, Progress
 from tools.train.judge import judge, summed_up
@@ -35,9 +34,7 @@ def train(config: TrainConfig, directory: Path, *, on_progress: Callable[[Progre
     cell = training_cell()
     torch.set_num_threads(1)  # the other cores play
     with (
-        ProcessPoolExecutor(
-            config.rollout.workers, mp_context=get_context("spawn"), initializer=_quiet
-        ) as workers,
+        process_pool(config.rollout.workers) as workers,
         Curve(directory, round=run.round) as curve,
     ):
         tasks = [] if run.done else run.tasks(cell)
@@ -87,10 +84,3 @@ def _claim(directory: Path, config: TrainConfig) -> None:
             f"{directory} holds another experiment (see {file}): give another --out, "
             "or the configuration that it was started with"
         )
-
-
-def _quiet() -> None:
-    """Ctrl-C is the parent's to handle."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
