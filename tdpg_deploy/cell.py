@@ -108,10 +108,11 @@ def realsense_camera(section: CameraSection, *, clock: Clock) -> RealsenseCamera
     if section.emulated is None:
         return RealsenseCamera(section, clock=clock)
     from tdpg_deploy.emulators.frame_wire import RemoteFrames
-    from tdpg_deploy.emulators.realsense import EMULATED_SERIAL, EmulatedD435
+    from tdpg_deploy.emulators.realsense import EMULATED_SERIAL, EmulatedD435, arriving_late
 
     frames = RemoteFrames(*section.emulated)
     source = EmulatedD435(frames, serial=section.serial or EMULATED_SERIAL)
+    source.fault = arriving_late(lambda: frames.age)
     return RealsenseCamera(section, clock=clock, source=source)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.emulators.frame_wire import encode
-from tdpg_deploy.hal import Clock
+from tdpg_deploy.hal import Clock, RgbdFrame
 from tdpg_deploy.sim.camera import SimCamera
 from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.world import World
@@ -46,6 +47,8 @@ class CameraServer:
         self._awake.set()
         self._server: asyncio.Server | None = None
         self._clients: set[asyncio.Task[None]] = set()
+        self._freezes = False
+        self._frozen: tuple[RgbdFrame, float] | None = None  # and when it was drawn
 
     async def listen(self, host: str, port: int) -> None:
         """Raises OSError when the port is taken."""
@@ -56,16 +59,25 @@ class CameraServer:
         """Accept clients and send nothing, until `resume`."""
         self._awake.clear()
 
+    def freeze(self) -> None:
+        """Send the next picture again and again, as it ages, until `resume`."""
+        self._freezes = True
+
     def resume(self) -> None:
         self._awake.set()
+        self._freezes, self._frozen = False, None
 
-    async def close(self) -> None:
-        """Cut off all clients. May be called twice."""
+    async def unplug(self) -> None:
+        """Cut off all clients, and refuse others until `listen`."""
         if self._server is not None:
             self._server.close()
         for client in self._clients:
             client.cancel()
         await asyncio.gather(*self._clients, return_exceptions=True)
+
+    async def close(self) -> None:
+        """May be called twice."""
+        await self.unplug()
         self._drawing.shutdown()
 
     async def _serve(self, _: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -89,5 +101,12 @@ class CameraServer:
         return await asyncio.get_running_loop().run_in_executor(self._drawing, self._draw, pieces)
 
     def _draw(self, pieces: Sequence[VisiblePiece]) -> bytes:
+        now = time.monotonic()
+        if self._frozen is not None:
+            frame, drawn_at = self._frozen
+            return encode(frame, age=now - drawn_at)
         self._still.pieces = pieces
-        return encode(self._camera.capture())
+        frame = self._camera.capture()
+        if self._freezes:
+            self._frozen = (frame, now)
+        return encode(frame)

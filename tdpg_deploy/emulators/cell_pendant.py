@@ -71,5 +71,16 @@ class CellPendant(Pendant):
         """No frame comes any more."""
         self._cell.camera.stall()
 
+    def camera_freeze(self) -> None:
+        """The same picture comes for ever, and grows old."""
+        self._cell.camera.freeze()
+
+    async def camera_unplug(self) -> None:
+        await self._cell.camera.unplug()
+
+    async def camera_plug_in(self) -> None:
+        assert self._cell.config.camera.emulated is not None
+        await self._cell.camera.listen(*self._cell.config.camera.emulated)
+
     def camera_resume(self) -> None:
         self._cell.camera.resume()

@@ -19,8 +19,10 @@ from tdpg_deploy.hal import Intrinsics, RgbdFrame
 DEADLINE = 2.0  # s for a frame
 
 
-def encode(frame: RgbdFrame) -> bytes:
+def encode(frame: RgbdFrame, *, age: float = 0.0) -> bytes:
+    """age: s since it was exposed."""
     header = {
+        "age": age,
         "intrinsics": asdict(frame.intrinsics),
         "captured_at": frame.captured_at,
         "sequence": frame.sequence,
@@ -30,18 +32,19 @@ def encode(frame: RgbdFrame) -> bytes:
     return json.dumps(header).encode() + b"\n" + pixels
 
 
-def decode(message: bytes) -> RgbdFrame:
-    """Raises CameraError for what is not a whole frame."""
+def decode(message: bytes) -> tuple[RgbdFrame, float]:
+    """A frame and its age, s. Raises CameraError for what is not a whole frame."""
     line, _, pixels = message.partition(b"\n")
     try:
         header = json.loads(line)
+        age = float(header.pop("age"))
         distortion = tuple(header["intrinsics"].pop("distortion"))
         intrinsics = Intrinsics(**header.pop("intrinsics"), distortion=distortion)
         shape = (intrinsics.height, intrinsics.width)
         count = intrinsics.height * intrinsics.width
         color = np.frombuffer(pixels, np.uint8, 3 * count).reshape(*shape, 3)
         depth = np.frombuffer(pixels, "<f4", count, 3 * count).reshape(shape)
-        return RgbdFrame(color=color, depth=depth, intrinsics=intrinsics, **header)
+        return RgbdFrame(color=color, depth=depth, intrinsics=intrinsics, **header), age
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise CameraError(
             f"{len(message)} bytes that are not a frame ({error}): is camera.emulated the address "
@@ -50,14 +53,19 @@ def decode(message: bytes) -> RgbdFrame:
 
 
 class RemoteFrames:
-    """What the camera of an emulated cell sees now, each time it is called."""
+    """What the camera of an emulated cell sees now, each time it is called.
+
+    age: of the last frame when it was sent, s.
+    """
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
+        self.age = 0.0
 
     def __call__(self) -> RgbdFrame:
         """Raises DeviceUnreachable, DeviceTimeout or CameraError."""
-        return decode(self._receive())
+        frame, self.age = decode(self._receive())
+        return frame
 
     def _receive(self) -> bytes:
         name = "the emulated camera at {}:{}".format(*self._address)

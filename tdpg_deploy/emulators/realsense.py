@@ -59,6 +59,15 @@ def stale(seconds: float) -> Fault:
     return lambda e: replace(e, color_at=e.color_at - seconds, depth_at=e.depth_at - seconds)
 
 
+def arriving_late(age: Callable[[], float]) -> Fault:
+    """Frames are so many seconds old, each time asked anew."""
+
+    def late(exposure: Exposure) -> Exposure | None:
+        return stale(age())(exposure)
+
+    return late
+
+
 def torn(seconds: float) -> Fault:
     """Colour was exposed before the depth that comes with it."""
     return lambda e: replace(e, color_at=e.color_at - seconds)

@@ -102,6 +102,8 @@ def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Pa
         ("gripper_mute", "gripper_speak", "DeviceTimeout"),
         ("gripper_lose_power", "gripper_restore_power", "GripperError"),
         ("camera_stall", "camera_resume", "DeviceTimeout"),
+        ("camera_freeze", "camera_resume", "CameraError"),
+        ("camera_unplug", "camera_plug_in", "DeviceTimeout"),
     ],
 )
 def test_a_fault_stops_the_arm_and_closes_the_log(

@@ -155,7 +155,7 @@ def test_a_walk_through_the_pages(address: str, tmp_path: Path) -> None:
     assert said == {
         "rows": 4, "filtered": 1, "deep link": True, "cleared": 4, "by cause": True,
         "step": "Step 1 of 3: grasp", "right": "Step 2 of 3: push", "hash": "#step-2",
-        "clicked": "Step 3 of 3: grasp", "failure": "Step 2 of 3: push", "charts": 2,
+        "clicked": "Step 3 of 3: grasp", "failure": "Step 2 of 3: push", "charts": 3,
         "pictures": 5, "later": "night 0/episode1", "title": False, "back": 4,
     }  # fmt: skip
     assert "finger on object" in evidence

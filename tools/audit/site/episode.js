@@ -81,6 +81,12 @@ function shot(source, caption) {
 
 // --- charts ------------------------------------------------------------------------------------
 
+// What is measured at the end of a move is drawn as staying so until the next one.
+function held(times, values, last) {
+  const ends = [...times.slice(1), last];
+  return times.flatMap((t, i) => [[t, values[i]], [ends[i], values[i]]]);
+}
+
 function chart(title, unit, times, values, options) {
   const width = 400, height = 170, left = 38, right = 8, top = 8, bottom = 22;
   const last = Math.max(...times, ...(options.until || []), 0.1);
@@ -105,8 +111,9 @@ function chart(title, unit, times, values, options) {
     drawn.append(svg("text", { x: width / 2, y: height / 2, "text-anchor": "middle" }, "not measured"));
     return card(title, drawn);
   }
-  if (values.length > 1) drawn.append(svg("polyline", { class: "line", points: times.map((t, i) => `${x(t).toFixed(1)},${y(values[i]).toFixed(1)}`).join(" ") }));
-  if (options.dots) times.forEach((t, i) => drawn.append(svg("circle", { class: "dot", cx: x(t), cy: y(values[i]), r: 4 }, svg("title", {}, `${values[i].toFixed(1)} ${unit} at ${t.toFixed(2)} s`))));
+  const line = options.held ? held(times, values, last) : times.map((t, i) => [t, values[i]]);
+  if (line.length > 1) drawn.append(svg("polyline", { class: "line", points: line.map(([t, v]) => `${x(t).toFixed(1)},${y(v).toFixed(1)}`).join(" ") }));
+  if (options.held) times.forEach((t, i) => drawn.append(svg("circle", { class: "dot", cx: x(t), cy: y(values[i]), r: 4 }, svg("title", {}, `${values[i].toFixed(1)} ${unit} at ${t.toFixed(2)} s`))));
   const cursor = svg("line", { class: "cursor", x1: -9, x2: -9, y1: top, y2: height - bottom });
   const label = svg("text", { x: left + 6, y: top + 10 });
   drawn.append(cursor, label);
@@ -175,7 +182,7 @@ function stepView(step) {
     el("div", { class: "grid charts" },
       chart("force at the tool, N", "N", step.path.t, step.path.force, { limits: step.limits }),
       chart("height of the tool, mm", "mm", step.path.t, step.path.height, {}),
-      chart("width between the pads, mm", "mm", step.widths.map((w) => w[0]), step.widths.map((w) => w[1]), { dots: true, until: step.path.t })),
+      chart("width between the pads, mm", "mm", step.widths.map((w) => w[0]), step.widths.map((w) => w[1]), { held: true, until: step.path.t })),
     el("div", { class: "grid charts" },
       card("decision", facts([
         ["action", `${step.kind} at (${x}, ${y}, ${z}) m`], ["direction", `${((step.action.yaw * 180) / Math.PI).toFixed(1)}°, rotation ${step.rotation}`],
@@ -183,11 +190,11 @@ function stepView(step) {
         ["notes", step.notes.join("; ")]])),
       critic(step),
       card("outcome", facts([["success", step.success || "not known"], ...Object.entries(outcome)]))),
-    el("div", { class: "grid two" },
+    el("div", { class: step.refusals.length ? "grid two" : "grid" },
       card("plan", el("div", { class: "scroll" }, el("table", {}, el("tbody", {}, step.plan.map((w) => el("tr", {},
         el("td", {}, w.name), el("td", { class: "n" }, w.at ? `${w.height.toFixed(0)} mm high` : `pads ${w.width} mm`),
         el("td", { class: "faded" }, step.limits[w.name] ? `stops at ${step.limits[w.name]} N` : ""))))))),
-      step.refusals.length ? card(`${step.refusals.length} plans refused before`, refusals(step)) : null),
+      step.refusals.length ? card(`${step.refusals.length} ${step.refusals.length === 1 ? "plan" : "plans"} refused before`, refusals(step)) : null),
   ];
 }
 
