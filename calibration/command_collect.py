@@ -63,7 +63,7 @@ def run_collect(args: argparse.Namespace, console: Console) -> int:
                 collect_by_hand(devices, reach, hides, plan, path, rng, tell, ask)
             else:
                 collect(devices, approach, plan, path, rng, tell)
-    console.print(f"{path}: solve it with tdpg-calibrate solve --record {path}")
+    console.print(f"\n{path}: solve it with tdpg-calibrate solve --record {path}")
     return 0
 
 

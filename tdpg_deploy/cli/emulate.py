@@ -36,7 +36,11 @@ def parser() -> argparse.ArgumentParser:
     p.set_defaults(goal=False)
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of scene and noise")
     p.add_argument(
-        "--pace", type=_pace, default=1.0, metavar="P", help="times real time (default: 1)"
+        "--pace",
+        type=_pace,
+        default=1.0,
+        metavar="P",
+        help="times real time, at most 4 (default: 1)",
     )
     p.add_argument(
         "--generation", choices=("cb3", "e-series"), default="cb3", help="of the controller"

@@ -174,10 +174,10 @@ def describe_calibration(config: CellConfig) -> str:
 
 
 def _report(console: Console, result: EpisodeResult, path: Path, picture: Path) -> None:
-    share = result.grasp_successes / result.grasps if result.grasps else float("nan")
+    share = f" ({result.grasp_successes / result.grasps:.0%})" if result.grasps else ""
     console.print(
-        f"[bold]{result.reason.value}[/]: {result.grasp_successes} of {result.grasps} grasps "
-        f"({share:.0%}), {result.pushes} pushes, {result.refused} refused, "
+        f"[bold]{result.reason.value}[/]: {result.grasp_successes} of {result.grasps} grasps"
+        f"{share}, {result.pushes} pushes, {result.refused} refused, "
         f"{result.seconds:.0f} s of the robot's time",
         soft_wrap=True,
     )

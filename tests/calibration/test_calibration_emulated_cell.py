@@ -16,7 +16,7 @@ from board_in_cell import (
 )
 from emulated_cell import cubes, emulator, small_cell
 
-from calibration import collection
+from calibration import collection, touch
 from calibration.approach import Approach
 from calibration.board_camera import BoardCell, PaintedBoard
 from calibration.collect import collect
@@ -31,19 +31,20 @@ from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.geometry import Transform
 
-TOPS = [(0.40, -0.10), (0.60, -0.12), (0.50, 0.0), (0.42, 0.13), (0.60, 0.13)]
+TOPS = [(0.42, -0.10), (0.58, 0.12)]
 
 
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_collected_solved_and_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(collection, "LEAST_VIEWS", 6)
+    monkeypatch.setattr(collection, "LEAST_VIEWS", 6)  # fewer of all: real time is dear
+    monkeypatch.setattr(touch, "FEWEST", 2)
     asked = small_cell()
     X_true = moved(asked.X_base_camera, 0.01, 0.5)
     config = with_true_camera(asked, X_true)
     path = tmp_path / "views.mcap"
     with (
-        emulator(config, "--scene", cubes(tmp_path, *TOPS), "--pace", "2") as rig,
+        emulator(config, "--scene", cubes(tmp_path, *TOPS), "--pace", "1") as rig,
         open_cell(rig.config, real=True) as cell,
     ):
         cell.gripper.activate()
@@ -55,10 +56,10 @@ def test_collected_solved_and_touched(tmp_path: Path, monkeypatch: pytest.Monkey
         calibrated = with_camera(rig.config, found)
         frame = cell.camera.capture()
         points = workspace_points(frame.depth, frame.intrinsics, found, config.workspace, every=1)
-        places = find_places(points, calibrated)[:5]
+        places = find_places(points, calibrated)[:2]
         touches = touch_all(places, cell.arm, cell.gripper, calibrated, lambda _: None)
         # The emulated camera counts depth in whole millimetres.
-        assert np.abs([touch.error for touch in touches]).max() < 1.5e-3
+        assert np.abs([done.error for done in touches]).max() < 1.5e-3
 
 
 def take_views(cell: Cell, config: CellConfig, X_true: Transform, path: Path) -> None:

@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from enum import Enum
 from typing import Any, TypeVar
 
@@ -34,9 +35,15 @@ def in_parallel(
 
 def _by_processes(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> Iterator[R]:
     with process_pool(workers) as pool:
-        yield from _in_order(
-            lambda task: pool.submit(work, task), Future.result, tasks, AHEAD * workers
-        )
+        try:
+            yield from _in_order(
+                lambda task: pool.submit(work, task), Future.result, tasks, AHEAD * workers
+            )
+        except BrokenProcessPool as error:
+            raise ConfigError(
+                "a working process was killed, by somebody or for want of memory: "
+                "try again with fewer --workers"
+            ) from error
 
 
 def _by_ray(work: Callable[[T], R], tasks: Iterable[T], workers: int) -> Iterator[R]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import tracemalloc
@@ -14,7 +15,9 @@ import pytest
 from audited_logs import make_logs
 from synthetic_episode import ABOUT, Synthetic, write_about
 
+from tdpg_deploy.errors import ConfigError
 from tools.audit.cli import main
+from tools.audit.engines import Engine, in_parallel
 from tools.audit.parquet import ACTIONS, EPISODES
 from tools.audit.rows import ActionRecord, EpisodeRecord, audit_log
 from tools.audit.run import find_logs
@@ -101,6 +104,12 @@ def test_ray_gives_the_same_tables(logs: Path, tables: Path, tmp_path: Path) -> 
     pytest.importorskip("ray", reason="ray is not installed: pip install 'tdpg-deploy[ray]'")
     main([str(logs), "--out", str(tmp_path), "--workers", "2", "--engine", "ray"])
     assert rows_of(tmp_path) == rows_of(tables)
+
+
+def test_a_process_that_is_killed_is_told() -> None:
+    tasks = [signal.SIGKILL, signal.SIGKILL]
+    with pytest.raises(ConfigError, match="fewer --workers"):
+        list(in_parallel(signal.raise_signal, tasks, workers=2, engine=Engine.PROCESSES))
 
 
 def test_an_engine_that_is_not_installed(
