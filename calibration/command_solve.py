@@ -83,6 +83,7 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
     samples = depth_samples(taken, found) if taken.depths else []
     depth = tried(lambda: fit_depth(samples)) if samples else None
     table = None if taken.table is None else tried(lambda: see_table(taken, found, depth))
+    tags = {} if taken.table_picture is None else find_tags(taken.table_picture).corners
     calibration = make_calibration(
         found,
         taken.target,
@@ -91,7 +92,7 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
         arm_serial=args.arm_serial,
         depth=depth,
         table=table,
-        tags={} if taken.table_picture is None else find_tags(taken.table_picture).corners,
+        tags=tags if len(tags) >= LEAST_TAGS else {},
         record_sha256=record_hash(args.record) if args.record else None,
     )
     save_calibration(calibration, args.out)
@@ -116,9 +117,9 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
     console.print(summary(found))
     if table is not None and (problem := table_problem(table, taken.workspace)):
         console.print(problem, style="yellow", markup=False)
-    if taken.mounting is Mounting.EYE_TO_HAND and len(calibration.tags) < LEAST_TAGS:
+    if taken.mounting is Mounting.EYE_TO_HAND and not calibration.tags:
         console.print(
-            f"{len(calibration.tags)} table tags were seen, {LEAST_TAGS} are needed: "
+            f"{len(tags)} table tags were seen, {LEAST_TAGS} are needed: "
             "tdpg-run will not notice a moved camera",
             style="yellow",
         )
