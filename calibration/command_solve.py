@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from rich.table import Table
 
 from calibration.board_arguments import target_of
 from calibration.collection import view_of
-from calibration.depth import DepthSamples, fit_depth, sample_depth
+from calibration.depth import DepthQuality, DepthSamples, fit_depth, sample_depth
 from calibration.detect import self_test
 from calibration.drift import LEAST_TAGS, find_tags
 from calibration.file import make_calibration
@@ -32,6 +33,7 @@ from tdpg_deploy.depth_model import DepthModel
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.hal import Intrinsics
 
+T = TypeVar("T")
 TABLE_OFF, TABLE_TILTED = 3e-3, np.deg2rad(0.5)  # beyond, the cell file and the camera disagree
 
 
@@ -68,17 +70,20 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
         )
     corners = taken.target.corners()
     found = solve(taken.views, corners, taken.lens, taken.mounting)
-    held_out = jackknife = depth = table = None
-    samples: list[DepthSamples] = []
-    try:
-        held_out, jackknife = hold_out(found, taken.views, corners, taken.lens)
-        if taken.depths:
-            samples = depth_samples(taken, found)
-            depth = fit_depth(samples)
-        if taken.table is not None:
-            table = _see_table(taken.table, found, depth[0] if depth else DepthModel(), taken)
-    except CalibrationError as error:  # the pose still stands
-        console.print(str(error), style="yellow", markup=False)
+
+    def tried(check: Callable[[], T]) -> T | None:
+        try:
+            return check()
+        except CalibrationError as error:  # the pose still stands
+            console.print(str(error), style="yellow", markup=False)
+            return None
+
+    checks = tried(lambda: hold_out(found, taken.views, corners, taken.lens))
+    held_out, jackknife = checks or (None, None)
+    samples = depth_samples(taken, found) if taken.depths else []
+    depth = tried(lambda: fit_depth(samples)) if samples else None
+    table = None if taken.table is None else tried(lambda: see_table(taken, found, depth))
+    tags = {} if taken.table_picture is None else find_tags(taken.table_picture).corners
     calibration = make_calibration(
         found,
         taken.target,
@@ -87,7 +92,7 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
         arm_serial=args.arm_serial,
         depth=depth,
         table=table,
-        tags={} if taken.table_picture is None else find_tags(taken.table_picture).corners,
+        tags=tags if len(tags) >= LEAST_TAGS else {},
         record_sha256=record_hash(args.record) if args.record else None,
     )
     save_calibration(calibration, args.out)
@@ -112,9 +117,9 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
     console.print(summary(found))
     if table is not None and (problem := table_problem(table, taken.workspace)):
         console.print(problem, style="yellow", markup=False)
-    if taken.mounting is Mounting.EYE_TO_HAND and len(calibration.tags) < LEAST_TAGS:
+    if taken.mounting is Mounting.EYE_TO_HAND and not calibration.tags:
         console.print(
-            f"{len(calibration.tags)} table tags were seen, {LEAST_TAGS} are needed: "
+            f"{len(tags)} table tags were seen, {LEAST_TAGS} are needed: "
             "tdpg-run will not notice a moved camera",
             style="yellow",
         )
@@ -191,9 +196,13 @@ def depth_samples(taken: Taken, found: HandEye) -> list[DepthSamples]:
     ]
 
 
-def _see_table(look: RecordedView, found: HandEye, model: DepthModel, taken: Taken) -> TablePlane:
-    depth = model.correct(look.depth)
-    points = workspace_points(depth, found.intrinsics, found.X_base_camera, taken.workspace)
+def see_table(
+    taken: Taken, found: HandEye, depth: tuple[DepthModel, DepthQuality] | None
+) -> TablePlane:
+    """Raises CalibrationError when too little of it is seen."""
+    assert taken.table is not None
+    seen = taken.table.depth if depth is None else depth[0].correct(taken.table.depth)
+    points = workspace_points(seen, found.intrinsics, found.X_base_camera, taken.workspace)
     return fit_table(points, taken.workspace)
 
 

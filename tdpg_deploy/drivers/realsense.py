@@ -115,12 +115,13 @@ class RealsenseCamera:
                 "than 0.2 m?"
             )
         self._sequence += 1
+        age = self._age(frames)
         return RgbdFrame(
             # Copied: librealsense stalls once some fifteen of its frames are kept.
             color=np.array(pair.get_color_frame().get_data()),
             depth=mean,
             intrinsics=session.intrinsics,
-            captured_at=self._clock.now() - self._age(frames),
+            captured_at=self._clock.now() - age,
             sequence=self._sequence,
             serial=session.serial,
         )

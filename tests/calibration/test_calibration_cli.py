@@ -21,6 +21,7 @@ from calibration.target import DEFAULT_TARGET
 from calibration.views import Mounting, PoseNoise
 from tdpg_deploy.calibration_file import load_calibration
 from tdpg_deploy.geometry import Transform
+from tools.benchmark.calibration_checks import X_CAMERA_TABLE, draw
 
 Picture = npt.NDArray[np.uint8]
 VIEWS = 10
@@ -125,12 +126,15 @@ def test_a_calibration_and_its_page(
     """One picture is blurred, one dark, one partial: each is named, the rest suffices."""
     spoiled = {3: blurred, 5: dark, 8: partial}
     pictures = [spoiled.get(i, lambda p: p)(p) for i, p in enumerate(shot.pictures)]
-    code, said = run(capsys, [*write_folder(tmp_path, shot, pictures=pictures), "--serial", "83"])
+    cv2.imwrite(str(tmp_path / "table.png"), np.asarray(draw(X_CAMERA_TABLE), np.uint8))
+    arguments = [*write_folder(tmp_path, shot, pictures=pictures), "--serial", "83"]
+    code, said = run(capsys, [*arguments, "--table", str(tmp_path / "table.png")])
     assert code == 0
     assert "003.png: blurred" in said
     assert "005.png: dark" in said
     assert "008.png: partial" in said
     calibration = load_calibration(tmp_path / "calibration.yaml")
+    assert sorted(calibration.tags) == [0, 1, 2, 3]
     assert error_mm(shot, tmp_path) < 0.25
     assert error_mm(shot, tmp_path) < 4e3 * calibration.quality.position_sd
     page = (tmp_path / "page.html").read_text()

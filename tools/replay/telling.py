@@ -81,7 +81,7 @@ def motion(step: Step) -> str:
 def measured(outcome: Outcome) -> str:
     if isinstance(outcome, GraspOutcome):
         widths = (outcome.width_after_close, outcome.width_after_lift, outcome.width_at_release)
-        shown = ", ".join(f"{1000 * w:.0f}" if isfinite(w) else "-" for w in widths)
+        shown = ", ".join(f"{abs(1000 * w):.0f}" if isfinite(w) else "-" for w in widths)
         text = (
             f"widths after close, lift, at release {shown} mm; held by width "
             f"{outcome.held_by_width.value}, gone from map {outcome.gone_from_map.value}"

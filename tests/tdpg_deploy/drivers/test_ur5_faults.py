@@ -7,7 +7,6 @@ import os
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -272,6 +271,11 @@ def slider_low(rig: Rig) -> None:
     rig.move(deadline=4.0)
 
 
+def not_watched(rig: Rig) -> None:
+    """The caller holds the driver up until the controller has lost its patience."""
+    wait_until(lambda: rig.robot.do("truth")["runtime"] != "PLAYING")
+
+
 def caller_fails(rig: Rig) -> None:
     raise OSError("disk full")
 
@@ -319,7 +323,7 @@ FAULTS = {
     "child-killed": Fault(provoke=signalled(signal.SIGKILL)),
     "child-crashed": Fault(provoke=signalled(signal.SIGSEGV)),
     "child-hangs": Fault(provoke=signalled(signal.SIGSTOP)),
-    "not-watched": Fault(provoke=under_way(lambda rig: time.sleep(1.0))),  # the fault itself
+    "not-watched": Fault(provoke=under_way(not_watched)),
     "caller-fails": Fault(provoke=under_way(caller_fails), then="move"),
     "ctrl-c": Fault(provoke=under_way(lambda rig: signal.raise_signal(signal.SIGINT)), then="move"),
     "stopped": Fault(
