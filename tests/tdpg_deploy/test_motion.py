@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from policies.gripper import OPEN_WIDTH, PAD_WIDTH
 from policies.heightmap import SIZE, Heightmap, Workspace
 from policies.primitives import Grasp, Push
 from tdpg_deploy import kinematics
@@ -12,8 +13,6 @@ from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.errors import PlanRefused
 from tdpg_deploy.geometry import Transform, top_down
 from tdpg_deploy.motion import (
-    OPEN_WIDTH,
-    PAD_WIDTH,
     TOUCH_MARGIN,
     grasp_footprints,
     plan_homing,
