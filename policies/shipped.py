@@ -10,8 +10,7 @@ from policies.baselines import RandomPolicy
 from policies.checkpoint import load_checkpoint
 from policies.policy import Decider
 
-# In weights/, each with its card beside it: to clear a table, and to fetch a goal.
-CLEAR, FETCH = "clear.safetensors", "fetch.safetensors"
+SHIPPED = "clear.safetensors"  # in weights/; its card lies beside it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,13 +22,10 @@ class NamedPolicy:
     sha256: str | None
 
 
-def open_policy(name: str | None = None, *, goal: bool = False) -> NamedPolicy:
-    """The policy that is shipped for a task (None), "random", or a checkpoint's path.
-
-    goal: the task is to fetch one object. Raises CheckpointError.
-    """
+def open_policy(name: str | None = None) -> NamedPolicy:
+    """The shipped policy (None), "random", or a checkpoint's path. Raises CheckpointError."""
     if name is None:
-        with as_file(files("policies") / "weights" / (FETCH if goal else CLEAR)) as path:
+        with as_file(files("policies") / "weights" / SHIPPED) as path:
             return open_policy(str(path))
     if name == "random":
         return NamedPolicy(name=name, decider=RandomPolicy(), sha256=None)
