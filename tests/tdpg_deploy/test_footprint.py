@@ -20,11 +20,11 @@ def heightmap(height: float = 0.0) -> Heightmap:
 
 
 @given(st.floats(-np.pi, np.pi), st.integers(40, 180), st.integers(40, 180))
-def test_finds_one_marked_pixel_wherever_it_turns(yaw: float, row: int, col: int) -> None:
+def test_finds_a_marked_spot_wherever_it_turns(yaw: float, row: int, col: int) -> None:
     seen = heightmap()
-    seen.height[row, col] = 0.07
+    seen.height[row - 1 : row + 2, col - 1 : col + 2] = 0.07
     x, y = WORKSPACE.to_base(row, col)
-    # The pixel lies 8 mm ahead of the rectangle's centre: inside 20 x 6 mm, outside 6 x 20 mm.
+    # Its middle lies 8 mm ahead of the rectangle's centre: inside 20 x 6 mm, outside 6 x 20 mm.
     centre = {"x": float(x - 0.008 * np.cos(yaw)), "y": float(y - 0.008 * np.sin(yaw))}
     ahead = Rectangle(**centre, yaw=yaw, along=0.020, across=0.006)
     across = Rectangle(**centre, yaw=yaw, along=0.006, across=0.020)

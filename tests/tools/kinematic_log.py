@@ -16,14 +16,15 @@ from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.reader import Episode, read_episode
 from tdpg_deploy.episode_log.writer import EpisodeWriter
 
-# The first stands at the border: the fingers that come down beside it may do so one way only.
+# The first stands at the border, beyond which nobody vouches for the ground: plans are refused.
 BOXES = (Box(x=0.31, y=0.0), Box(x=0.5, y=0.1, height=0.04), Box(x=0.55, y=-0.1, height=0.07))
 
 
 def cell_config(actions: int) -> CellConfig:
     config = kinematic_config()
-    limits = config.episode.model_copy(update={"max_actions": actions})
-    return config.model_copy(update={"episode": limits})
+    episode = config.episode.model_copy(update={"max_actions": actions})
+    limits = config.limits.model_copy(update={"workspace_margin": 0.0})
+    return config.model_copy(update={"episode": episode, "limits": limits})
 
 
 def write_log(

@@ -39,7 +39,19 @@ def test_outcomes_come_back(outcome: Outcome, stamp: float) -> None:
     assert documents.decode(Conclusion, documents.encode(conclusion)) == conclusion
 
 
-@given(st.builds(EpisodeResult, seconds=numbers))
+counts = st.integers(0, 2**40)
+COUNTS = (
+    "actions",
+    "grasps",
+    "pushes",
+    "grasp_successes",
+    "push_successes",
+    "delivered",
+    "refused",
+)
+
+
+@given(st.builds(EpisodeResult, seconds=numbers, **dict.fromkeys(COUNTS, counts)))
 def test_results_come_back(result: EpisodeResult) -> None:
     assert documents.decode(EpisodeResult, documents.encode(result)) == result
 
