@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calibration.printing import TAGS
 from tdpg_deploy.errors import CalibrationError
@@ -77,7 +77,7 @@ def compare(before: TagCorners, now: TagCorners) -> Drift:
     size = float(np.sqrt((motion**2).sum(axis=2).mean()))
     # The four numbers of a similarity, each with twice the corner noise of both pictures.
     statistic = float((motion**2).sum() / (2 * CORNER_NOISE**2))
-    moved = statistic > chi2.ppf(1 - FALSE_ALARMS, 4) and size > LEAST_MOVE
+    moved = statistic > chdtri(4, FALSE_ALARMS) and size > LEAST_MOVE
     return Drift(move=size, moved=bool(moved), tags=int(kept.sum()))
 
 

@@ -10,10 +10,8 @@ import torch
 
 from policies.decide import Choice
 from policies.networks.maps import Maps, Network
-from policies.policy import ROTATIONS, QMaps
+from policies.policy import HALF_TURN, ROTATIONS, QMaps
 from policies.rotation import back_to_map, pictures, positions
-
-HALF_TURN = ROTATIONS // 2
 
 
 def critic_one(

@@ -11,10 +11,10 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.fingers import HALF_TURN, under_closed_fingers, under_open_fingers
+from policies.fingers import under_closed_fingers, under_open_fingers
 from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
-from policies.policy import ROTATIONS, QMaps
+from policies.policy import HALF_TURN, ROTATIONS, QMaps
 from policies.primitives import PUSH_LENGTH, Grasp, Primitive, Push
 
 C = 0.6  # Critic II's threshold (paper, section III-D)
@@ -128,7 +128,7 @@ def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) 
         row, col = heightmap.workspace.to_pixel(primitive.x, primitive.y)
         rotation = round(primitive.yaw / (2 * np.pi / ROTATIONS))
         if isinstance(primitive, Grasp):
-            for side in (rotation, rotation + ROTATIONS // 2):
+            for side in (rotation, rotation + HALF_TURN):
                 _strike_out(grasp, side, int(row), int(col))
         else:
             _strike_out(push, rotation, int(row), int(col))
@@ -171,7 +171,7 @@ def best_grasps(
 ) -> tuple[Choice, ...]:
     """The `count` largest grasps, best first, no two of them NEAR each other: neighbouring
     pixels are the same grasp, and ten of those would be one opinion."""
-    values = maps.grasp[: ROTATIONS // 2].copy()  # the other half repeats it
+    values = maps.grasp[:HALF_TURN].copy()  # the other half repeats it
     grasps: list[Choice] = []
     while len(grasps) < count and (grasp := best(values, "grasp", rng)) is not None:
         grasps.append(grasp)

@@ -15,10 +15,10 @@ import torch.nn.functional as F
 
 from policies.gripper import CLOSED_FINGERS, FINGER_DEPTH, MAX_UNKNOWN, OPEN_WIDTH, PAD_WIDTH
 from policies.heightmap import PIXEL, SIZE, Heightmap
-from policies.policy import ROTATIONS
+from policies.policy import HALF_TURN, ROTATIONS
 
-HALF_TURN = ROTATIONS // 2
 Map = npt.NDArray[np.float32]
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,14 +100,7 @@ def _places(apart: float) -> npt.NDArray[np.uint8]:
     return nearest.astype(np.uint8)
 
 
-def _around(
-    reach: int, pixel: float
-) -> tuple[
-    npt.NDArray[np.float64],
-    npt.NDArray[np.float64],
-    npt.NDArray[np.float64],
-    npt.NDArray[np.float64],
-]:
+def _around(reach: int, pixel: float) -> tuple[Array, Array, Array, Array]:
     """x, y of pixels (n, n) around one, in base (m); cosine and sine of each yaw (8, 1, 1)."""
     pixels = np.arange(-reach, reach + 1) * pixel
     x, y = np.meshgrid(-pixels, -pixels, indexing="ij")

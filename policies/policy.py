@@ -13,6 +13,7 @@ from policies.heightmap import Heightmap
 from policies.primitives import Primitive
 
 ROTATIONS = 16  # of pi / 8 (paper, section III)
+HALF_TURN = ROTATIONS // 2  # a grasp and the bare fingers look the same after it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

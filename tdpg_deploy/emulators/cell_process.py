@@ -101,7 +101,9 @@ class CellProcess:
             raise DeviceTimeout(f"the emulated cell gave no answer within {deadline} s")
         line = stdout.readline()
         if not line:
-            raise DeviceUnreachable(f"tdpg-emulate ended with exit code {self._process.wait()}")
+            raise DeviceUnreachable(
+                f"tdpg-emulate ended with exit code {self._process.wait(END_LIMIT)}"
+            )
         return line
 
     def _end(self) -> None:

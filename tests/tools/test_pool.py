@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -26,18 +27,16 @@ def gone(pid: int, *, deadline: float) -> bool:
             os.kill(pid, 0)
         except ProcessLookupError:
             return True
-        with open(f"/proc/{pid}/stat", encoding="ascii") as stat:
-            if stat.read().rsplit(")", 1)[1].split()[0] == "Z":
-                return True
+        if Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(") ", 1)[1][0] == "Z":
+            return True
         time.sleep(0.02)
     return False
 
 
 @pytest.mark.slow
-def test_workers_end_with_a_process_that_is_killed(tmp_path: os.PathLike[str]) -> None:
-    script = os.path.join(tmp_path, "main.py")
-    with open(script, "w", encoding="utf-8") as file:
-        file.write(MAIN)
+def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "main.py"
+    script.write_text(MAIN, encoding="utf-8")
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         worker = int(process.stdout.readline())

@@ -17,7 +17,6 @@ import torch.nn.functional as F
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.networks.build import ENTRANCES, build
-from policies.networks.densenet import DenseNet121
 from policies.networks.maps import Network
 from policies.networks.two_towers import TwoTowerNet
 from tdpg_deploy.cell_config import CellConfig
@@ -71,9 +70,9 @@ class Run:
             self._actor.load_state_dict(weights)
             self._learner.network.load_state_dict(weights)
         elif config.imagenet is not None:
-            for beginner in (self._actor, self._learner.network):
-                assert isinstance(beginner, TwoTowerNet)
-                beginner.load_imagenet(_imagenet(config.imagenet))
+            assert isinstance(network, TwoTowerNet)
+            _load_imagenet(network, config.imagenet)
+            self._learner.network.load_state_dict(network.state_dict())
 
     @property
     def done(self) -> bool:
@@ -254,14 +253,12 @@ def _begin_with(path: Path, policy: PolicyConfig) -> tuple[dict[str, torch.Tenso
     }
 
 
-def _imagenet(path: Path) -> dict[str, torch.Tensor]:
-    """Raises ConfigError when it is not torchvision's densenet121."""
+def _load_imagenet(network: TwoTowerNet, path: Path) -> None:
+    """Raises ConfigError when the file is not torchvision's densenet121."""
     try:
-        weights: dict[str, torch.Tensor] = torch.load(path, map_location="cpu", weights_only=True)
-        DenseNet121().load_imagenet(weights)
+        network.load_imagenet(torch.load(path, map_location="cpu", weights_only=True))
     except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError) as error:
         raise ConfigError(f"{path}: not torchvision's densenet121 weights: {error}") from error
-    return weights
 
 
 def _between(first: float, last: float, share: float) -> float:

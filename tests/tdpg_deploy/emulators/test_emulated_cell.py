@@ -26,6 +26,7 @@ from tdpg_deploy.drivers.ur5_network import RTDE_PORT
 from tdpg_deploy.emulators.cell_file import format_cell
 from tdpg_deploy.emulators.cell_pendant import CellPendant
 from tdpg_deploy.episode_log.reader import read_episode
+from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.sim.scenes import random_scene
@@ -91,6 +92,14 @@ def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Pa
     assert ours.yaw == theirs.yaw
 
 
+def result_in(folder: Path) -> EpisodeResult:
+    """Of the one log there; it is closed."""
+    (log,) = folder.glob("*.mcap")
+    result = read_episode(log).result()
+    assert result is not None
+    return result
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "mended", "said"),
@@ -123,9 +132,7 @@ def test_a_fault_stops_the_arm_and_closes_the_log(
     assert cell.do("truth")["runtime"] != "PLAYING"
     assert processes_of(cell.host) == {}
     cell.do(mended)
-    (log,) = tmp_path.glob("*.mcap")
-    result = read_episode(log).result()
-    assert result is not None
+    result = result_in(tmp_path)
     assert result.reason is EndReason.DEVICE_ERROR
     assert result.error is not None
     assert result.error.startswith(said)
@@ -144,9 +151,7 @@ def test_ctrl_c_stops_the_arm_and_closes_the_log(cell: EmulatorRig, tmp_path: Pa
     assert process.wait(timeout=30) == 130
     cell.wait_for_rest()
     assert cell.stands_still()
-    (log,) = tmp_path.glob("*.mcap")
-    result = read_episode(log).result()
-    assert result is not None
+    result = result_in(tmp_path)
     assert result.reason is EndReason.OPERATOR_STOP
 
 
@@ -165,9 +170,7 @@ def test_a_whole_cell_that_dies_leaves_a_closed_log(tmp_path: Path) -> None:
         assert run_real(rig, tmp_path) == 3
         striking.join()
         assert processes_of(rig.host) == {}
-    (log,) = tmp_path.glob("*.mcap")
-    result = read_episode(log).result()
-    assert result is not None
+    result = result_in(tmp_path)
     assert result.reason is EndReason.DEVICE_ERROR
     assert result.error is not None
     assert result.error.startswith("DeviceUnreachable")
@@ -200,9 +203,7 @@ def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path:
         assert terminal.exit_code() == 130
     cell.wait_for_rest()
     assert cell.stands_still()
-    (log,) = tmp_path.glob("*.mcap")
-    result = read_episode(log).result()
-    assert result is not None
+    result = result_in(tmp_path)
     assert result.reason is EndReason.OPERATOR_STOP
 
 
