@@ -101,9 +101,9 @@ def random_scene(
 
 
 def packed_scene(n: int, workspace: Workspace, rng: np.random.Generator) -> Scene:
-    """n objects of up to three kinds that stand upright in rows, so close that no finger fits
-    between them, the whole of it somewhere and turned somehow. Raises SceneError for n outside of
-    1..9."""
+    """n objects of up to three kinds that stand upright in rows, neighbours so close that no finger
+    fits between them, the whole of it somewhere and turned somehow. Raises SceneError for n outside
+    of 1..9."""
     if not 1 <= n <= MAX_PACKED:
         raise SceneError(f"{n} objects asked for in a pack: ask for 1 to {MAX_PACKED}")
     names = sorted(SHAPES)
