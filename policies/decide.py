@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.fingers import under_closed_fingers, under_open_fingers
+from policies.fingers import under_closed_fingers, under_open_gripper
 from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS, QMaps
@@ -58,11 +58,12 @@ def rising(heightmap: Heightmap) -> Mask:
 
 def graspable(heightmap: Heightmap) -> Mask:
     """(16, 224, 224): a grasp closes on an object that was seen; on the goal if there is one.
-    Both fingers come down beside it on seen ground, and low enough."""
+    Both fingers come down beside it on seen ground, and low enough; nothing of the gripper
+    lands on what stands around."""
     objects = rising(heightmap)
     if heightmap.goal is not None:
         objects &= heightmap.goal
-    ground = under_open_fingers(heightmap)
+    ground = under_open_gripper(heightmap)
     half = objects & ground.known & have_room(heightmap.height, ground.highest)
     return np.concatenate((half, half))
 
