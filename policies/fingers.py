@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.gripper import CLOSED_FINGERS, MAX_UNKNOWN, OPEN_GRIPPER, Part
+from policies.gripper import CLOSED_GRIPPER, MAX_UNKNOWN, OPEN_GRIPPER, Part
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
@@ -40,9 +40,9 @@ def under_open_gripper(heightmap: Heightmap) -> Ground:
     return _under(heightmap, OPEN_GRIPPER)
 
 
-def under_closed_fingers(heightmap: Heightmap) -> Ground:
+def under_closed_gripper(heightmap: Heightmap) -> Ground:
     """Where a push at each pixel comes down, its two fingers side by side across the travel."""
-    return _under(heightmap, CLOSED_FINGERS)
+    return _under(heightmap, CLOSED_GRIPPER)
 
 
 _THIN = 2 * PIXEL

@@ -31,8 +31,13 @@ OPEN_GRIPPER = (
     Part(along=0.024, across=0.026, apart=OPEN_WIDTH + 0.036, rise=0.050),
     Part(along=0.100, across=0.062, rise=0.067),
 )
-# Both closed fingers where they are broadest, 2 mm to spare all around; a push moves across them.
-CLOSED_FINGERS = (Part(along=0.030, across=0.064),)
+# What comes down for a push, which moves across the fingers, with 2 mm to spare all around: the
+# closed tips side by side, their bars, and the palm.
+CLOSED_GRIPPER = (
+    Part(along=0.026, across=0.032),
+    Part(along=0.030, across=0.064, rise=0.036),
+    Part(along=0.066, across=0.104, rise=0.067),
+)
 MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...
 FLAT = 0.01  # m ... or less, where they come down no higher than this above the table

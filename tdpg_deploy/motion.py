@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from policies.gripper import (
-    CLOSED_FINGERS,
+    CLOSED_GRIPPER,
     MAX_UNKNOWN,
     OPEN_GRIPPER,
     OPEN_WIDTH,
@@ -81,7 +81,7 @@ def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
 
 def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
     limits, table_z = config.limits, config.workspace.table_z
-    surface = _surface(push, CLOSED_FINGERS, heightmap, config)
+    surface = _surface(push, CLOSED_GRIPPER, heightmap, config)
     length = push.length
     notes: tuple[str, ...] = ()
     room = room_ahead(push, heightmap.workspace)

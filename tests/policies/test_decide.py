@@ -103,14 +103,14 @@ def test_a_push_from_a_low_block_meets_a_higher_one() -> None:
     assert not mask[8, 110, 110]  # from the higher, down, over the lower
 
 
-def test_a_push_neither_starts_on_unknown_ground_nor_ends_outside() -> None:
-    heightmap = table_with((10, 100, 20, 20, 0.05), BLOCK)
+def test_a_push_neither_starts_on_unknown_ground_nor_ends_near_the_border() -> None:
+    heightmap = table_with((30, 100, 20, 20, 0.05), BLOCK)
     heightmap.height[125:140, :] = np.nan
     mask = pushable(heightmap)
     assert not mask[0, 130, 110]
     assert mask[0, 145, 110]
-    assert not mask[0, 40, 110]  # it would end 10 pixels outside
-    assert mask[0, 50, 110]
+    assert not mask[0, 79, 110]  # it would end 29 pixels from the border: 58 mm
+    assert mask[0, 80, 110]
 
 
 @settings(max_examples=15, deadline=None)

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tables import WORKSPACE, table_with
 
-from policies.fingers import Ground, under_closed_fingers, under_open_gripper
-from policies.gripper import CLOSED_FINGERS, OPEN_GRIPPER, Part, have_room
+from policies.fingers import Ground, under_closed_gripper, under_open_gripper
+from policies.gripper import CLOSED_GRIPPER, OPEN_GRIPPER, Part, have_room
 from policies.heightmap import SIZE, Heightmap
 from policies.policy import ROTATIONS
 from policies.primitives import Grasp, Primitive, Push
@@ -66,14 +66,14 @@ def test_the_ground_is_that_of_the_plan(seed: int, rotation: int, row: int, col:
     at = rotation, row, col
     grasp, push = Grasp(x=x, y=y, z=0, yaw=yaw), Push(x=x, y=y, z=0, yaw=yaw)
     agrees(under_open_gripper(seen), seen, at, grasp, OPEN_GRIPPER)
-    agrees(under_closed_fingers(seen), seen, at, push, CLOSED_FINGERS)
+    agrees(under_closed_gripper(seen), seen, at, push, CLOSED_GRIPPER)
 
 
 def test_a_speck_is_not_ground() -> None:
     seen = table_with()
     seen.height[100, 100] = 0.3
     assert under_open_gripper(seen).highest.max() == 0.0
-    assert under_closed_fingers(seen).highest.max() == 0.0
+    assert under_closed_gripper(seen).highest.max() == 0.0
 
 
 def test_flat_things_may_be_grasped_from_the_table() -> None:

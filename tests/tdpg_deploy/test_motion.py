@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.gripper import CLOSED_FINGERS, OPEN_GRIPPER, OPEN_WIDTH, Part
+from policies.gripper import CLOSED_GRIPPER, OPEN_GRIPPER, OPEN_WIDTH, Part
 from policies.heightmap import SIZE, Heightmap, Workspace
 from policies.primitives import Grasp, Push
 from tdpg_deploy import kinematics
@@ -295,7 +295,7 @@ def test_room_ahead_ends_on_the_border(x: float, y: float, yaw: float) -> None:
 def test_push_into_the_unknown_may_not_start_there() -> None:
     seen = table()
     push = Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0)
-    (start,) = rectangles(CLOSED_FINGERS[0], push)
+    (start,) = rectangles(CLOSED_GRIPPER[0], push)
     row, col = WORKSPACE.to_pixel(start.x, start.y)
     seen.height[row - 6 : row + 6, col - 6 : col + 6] = np.nan
     with pytest.raises(PlanRefused, match="unknown"):
