@@ -24,6 +24,7 @@ RISE = 0.010  # m; what stands higher above the table is an object: four sigma o
 NEAR = 0.010  # m; actions closer than this ...
 NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
 PUSH_HALF_WIDTH = 0.010  # m; about half of the closed fingers
+IN_THE_WAY = 0.03  # m from the goal within which others may be lifted or pushed for its sake
 PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
 _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is read from
 
@@ -57,23 +58,31 @@ def rising(heightmap: Heightmap) -> Mask:
     return high & (votes >= 5)
 
 
-def graspable(heightmap: Heightmap) -> Mask:
-    """(16, 224, 224): a grasp closes on an object that was seen; on the goal if there is one.
-    Both fingers come down beside it on seen ground, and low enough; nothing of the gripper
-    lands on what stands around."""
+def _concerned(heightmap: Heightmap) -> Mask:
+    """(224, 224): all objects; with a goal, it and what is near enough to be in its way."""
     objects = rising(heightmap)
-    if heightmap.goal is not None:
-        objects &= heightmap.goal
+    if heightmap.goal is None:
+        return objects
+    return objects & (_widest(heightmap.goal.astype(np.float32), round(IN_THE_WAY / PIXEL)) > 0)
+
+
+def graspable(heightmap: Heightmap) -> Mask:
+    """(16, 224, 224): a grasp closes on an object that was seen. Both fingers come down beside it
+    on seen ground, and low enough; nothing of the gripper lands on what stands around. With a
+    goal: on the goal, or where no finger fits beside it, on what surrounds it."""
     ground = under_open_gripper(heightmap)
-    half = objects & ground.known & have_room(heightmap.height, ground.highest)
+    half = _concerned(heightmap) & ground.known & have_room(heightmap.height, ground.highest)
+    if heightmap.goal is not None and (half & heightmap.goal).any():
+        half &= heightmap.goal
     return np.concatenate((half, half))
 
 
 def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
     """(16, 224, 224): a push starts on seen ground, meets something that stands higher than
-    its start by RISE within `length`, and ends well inside of the workspace."""
+    its start by RISE within `length`, and ends well inside of the workspace. With a goal: it
+    meets the goal or what surrounds it."""
     ground = under_closed_gripper(heightmap)
-    objects = np.where(rising(heightmap), heightmap.height, -np.inf).astype(np.float32)
+    objects = np.where(_concerned(heightmap), heightmap.height, -np.inf).astype(np.float32)
     half_width = round(PUSH_HALF_WIDTH / PIXEL)
     swept = _widest(objects, half_width)
     reach = length / PIXEL
