@@ -24,7 +24,7 @@ RISE = 0.010  # m; what stands higher above the table is an object: four sigma o
 NEAR = 0.010  # m; actions closer than this ...
 NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
 PUSH_HALF_WIDTH = 0.010  # m; about half of the closed fingers
-IN_THE_WAY = 0.03  # m from the goal within which others may be lifted or pushed for its sake
+IN_THE_WAY = 0.05  # m from the goal within which others may be lifted or pushed for its sake
 PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
 _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is read from
 
