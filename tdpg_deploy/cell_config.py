@@ -214,6 +214,7 @@ class SimulationSection(_Section):
     friction: Annotated[float, Field(ge=0.1, le=2)] = 0.6  # of blocks; Bullet multiplies a pair's
     density: Annotated[float, Field(ge=50, le=5000)] = 650.0  # kg/m^3, beech wood
     light: tuple[float, float, float] = (0.4, 0.5, 1.0)  # direction towards the lamp, base frame
+    table_tags: bool = False  # glued around the workspace, for the camera to know its place by
     X_base_camera: Pose | None = None  # true pose; the calibrated one when absent
 
 

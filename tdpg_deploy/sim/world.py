@@ -22,6 +22,7 @@ from tdpg_deploy.sim.links import MAX_WIDTH
 from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.robot import Robot
 from tdpg_deploy.sim.scenes import Scene, SceneObject, Spawner
+from tdpg_deploy.sim.tags import lay_tags
 from tdpg_deploy.workspace import workspace_of
 
 LOOK_EVERY = 16  # steps between looks at what may be put to sleep
@@ -81,6 +82,7 @@ class World:
         self._furniture = furniture.furnish(config, self.workspace)
         for item in self._furniture:
             physics.add_static(self.client, item.piece, friction=physics.TABLE_FRICTION)
+        self._tags = lay_tags(self.workspace) if config.simulation.table_tags else []
         dh, rails = config.arm.dh, config.simulation.carrier == "gantry"
         carrier: Carrier = Gantry(dh) if rails else SerialArm(dh)
         self.robot = Robot(self.client, carrier, np.array(config.arm.home), MAX_WIDTH)
@@ -153,7 +155,7 @@ class World:
             for state in self.objects()
             for piece in state.shape.pieces
         ]
-        return [*self._furniture, *self.robot.visible(), *objects]
+        return [*self._furniture, *self._tags, *self.robot.visible(), *objects]
 
     # --- rest ---------------------------------------------------------------------------------
 
