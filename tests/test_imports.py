@@ -37,7 +37,7 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "calibration": ["calibration", "tdpg_deploy"],
     "tdpg_deploy.errors": [],
     "tdpg_deploy.geometry": [],
-    "tdpg_deploy.cell_config": FOUNDATION,
+    "tdpg_deploy.cell_config": [*FOUNDATION, "tdpg_deploy.kinematics"],
     "tdpg_deploy.hal": FOUNDATION,
     "tdpg_deploy.calibration_file": FOUNDATION,
     "tdpg_deploy.depth_model": [],

@@ -17,7 +17,7 @@ from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.sim import furniture, physics
 from tdpg_deploy.sim.bodies import Shape
-from tdpg_deploy.sim.carriers import Carrier, Gantry, Ur5
+from tdpg_deploy.sim.carriers import Carrier, Gantry, SerialArm
 from tdpg_deploy.sim.links import MAX_WIDTH
 from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.robot import Robot
@@ -83,7 +83,8 @@ class World:
         for item in self._furniture:
             physics.add_static(self.client, item.piece, friction=physics.TABLE_FRICTION)
         self._tags = lay_tags(self.workspace) if config.simulation.table_tags else []
-        carrier: Carrier = Gantry() if config.simulation.carrier == "gantry" else Ur5()
+        dh, rails = config.arm.dh, config.simulation.carrier == "gantry"
+        carrier: Carrier = Gantry(dh) if rails else SerialArm(dh)
         self.robot = Robot(self.client, carrier, np.array(config.arm.home), MAX_WIDTH)
         self.bodies = [
             physics.add_object(

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.emulators.ur_controller.motion import (
     JointPath,
     LinearPath,
@@ -19,10 +18,10 @@ from tdpg_deploy.emulators.ur_controller.motion import (
     OutOfReach,
     PathMotion,
     SpeedMotion,
-    solve,
 )
 from tdpg_deploy.emulators.ur_controller.script import Pose, Steps
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.kinematics import forward
 
 if TYPE_CHECKING:
     from tdpg_deploy.emulators.ur_controller.controller import Controller
@@ -75,11 +74,9 @@ class Functions:
         self, target: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0
     ) -> Steps:
         c = self._controller
-        start = kinematics.forward(c.q_target, c.X_flange_tool)
-        is_pose = isinstance(target, Pose)
-        end = _transform(target) if is_pose else kinematics.forward(target, c.X_flange_tool)
-        solve(end, c.X_flange_tool, c.q_target)  # a program ends at a pose that has no solution
-        path = LinearPath(start, end, c.X_flange_tool)
+        end = _transform(target) if isinstance(target, Pose) else c.tool_at(target)
+        c.joints_at(end, c.q_target)  # a program ends at a pose that has no solution
+        path = LinearPath(c.tool_at(c.q_target), end, c.joints_at)
         yield from self._move(PathMotion(path, speed=v, acceleration=a))
 
     movep = movel
@@ -100,10 +97,10 @@ class Functions:
         c = self._controller
 
         def wanted(q: Array) -> Array:
-            pose = kinematics.forward(q, c.X_flange_tool)
+            pose = c.tool_at(q)
             turn = type(pose.rotation).from_rotvec(np.asarray(xd[3:]) * c.dt)
             after = Transform(turn * pose.rotation, pose.translation + np.asarray(xd[:3]) * c.dt)
-            return (solve(after, c.X_flange_tool, q) - q) / c.dt
+            return (c.joints_at(after, q) - q) / c.dt
 
         yield from self._speed(wanted, 2 * a, t)
 
@@ -152,7 +149,7 @@ class Functions:
         self, pose: Pose, qnear: Sequence[float] | None = None, *tolerances: float
     ) -> list[float]:
         near: Array = self._controller.q if qnear is None else np.asarray(qnear, np.float64)
-        return list(solve(_transform(pose), self._controller.X_flange_tool, near))
+        return list(self._controller.joints_at(_transform(pose), near))
 
     def get_inverse_kin_has_solution(self, pose: Pose, *arguments: Any) -> bool:
         try:
@@ -162,8 +159,9 @@ class Functions:
         return True
 
     def get_forward_kin(self, q: Sequence[float] | None = None, tcp: Pose | None = None) -> Pose:
-        X_flange_tool = self._controller.X_flange_tool if tcp is None else _transform(tcp)
-        return _pose(kinematics.forward(self._controller.q if q is None else q, X_flange_tool))
+        c = self._controller
+        X_flange_tool = c.X_flange_tool if tcp is None else _transform(tcp)
+        return _pose(forward(c.plant.dh, c.q if q is None else q, X_flange_tool))
 
     def is_within_safety_limits(self, target: Sequence[float]) -> bool:
         return not isinstance(target, Pose) or self.get_inverse_kin_has_solution(target)
@@ -174,14 +172,14 @@ class Functions:
         return _pose(self._controller.X_base_tool)
 
     def get_actual_tool_flange_pose(self) -> Pose:
-        return _pose(kinematics.forward(self._controller.q, Transform.identity()))
+        return self.get_forward_kin(tcp=_pose(Transform.identity()))
 
     def get_actual_joint_positions(self) -> list[float]:
         return list(self._controller.q)
 
     def get_target_tcp_speed(self) -> list[float]:
         c = self._controller
-        after = kinematics.forward(c.q + c.qd * c.dt, c.X_flange_tool)
+        after = c.tool_at(c.q + c.qd * c.dt)
         return [step / c.dt for step in self.pose_sub(_pose(after), _pose(c.X_base_tool))]
 
     def get_tcp_force(self) -> list[float]:
@@ -226,7 +224,7 @@ class Functions:
 
     def _joints(self, target: Sequence[float]) -> Array:
         if isinstance(target, Pose):
-            return solve(_transform(target), self._controller.X_flange_tool, self._controller.q)
+            return self._controller.joints_at(_transform(target), self._controller.q)
         return np.asarray(target, np.float64)
 
 

@@ -93,7 +93,7 @@ def test_out_of_reach_nothing_moves(carrier: str) -> None:
 
 
 def test_a_blocked_arm_says_so() -> None:
-    with running("ur5") as (_, arm, gripper):
+    with running("arm") as (_, arm, gripper):
         gripper.move(0, speed=0.15, force=20)
         travel(arm, pointing_down(0.5, 0, 0.05))
         with pytest.raises(ArmError, match="blocks the arm"):
