@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from tdpg_deploy.emulators.ur_controller.motion import (
     PathMotion,
     SpeedMotion,
 )
-from tdpg_deploy.emulators.ur_controller.script import Pose, Steps
+from tdpg_deploy.emulators.ur_controller.script import Pose, ScriptError, Steps
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.kinematics import forward
 
@@ -29,6 +30,11 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _KILLED_DECELERATION = 5.0  # rad/s^2, when the thread that moves the arm is killed
+_SERVO_ACCELERATION = 150.0  # rad/s^2: a target that jumps meets the speed limit first
+_NOT_EMULATED = (
+    *("force_mode", "end_force_mode", "servoc", "movec", "tool_contact", "get_joint_torques"),
+    *("freedrive_mode", "end_freedrive_mode", "teach_mode", "end_teach_mode", "direct_torque"),
+)
 
 
 class Functions:
@@ -103,6 +109,20 @@ class Functions:
             return (c.joints_at(after, q) - q) / c.dt
 
         yield from self._speed(wanted, 2 * a, t)
+
+    def servoj(
+        self,
+        q: Sequence[float],
+        a: float = 0,
+        v: float = 0,
+        t: float = 0.002,
+        lookahead_time: float = 0.1,
+        gain: float = 300,
+    ) -> Steps:
+        """Follows its targets late by `lookahead_time`, whatever the gain; a real arm's lag
+        depends on both."""
+        target = np.asarray(q, np.float64)
+        yield from self._speed(lambda q: (target - q) / lookahead_time, _SERVO_ACCELERATION, t)
 
     def _speed(self, wanted: Callable[[Array], Array], a: float, t: float) -> Steps:
         c = self._controller
@@ -218,7 +238,7 @@ class Functions:
         self._controller.protective_stop("asked for by the program")
 
     def force_mode_set_damping(self, damping: float) -> None:
-        """Force mode is not emulated; programs set it up all the same."""
+        """Without effect: force mode is not emulated, and programs set it up all the same."""
 
     force_mode_set_gain_scaling = force_mode_set_damping
 
@@ -231,7 +251,12 @@ class Functions:
 def functions(controller: Controller) -> dict[str, Callable[..., Any]]:
     """What a program on this controller can call, by name."""
     bound = Functions(controller)
-    return {name: getattr(bound, name) for name in vars(Functions) if not name.startswith("_")}
+    emulated = {n: getattr(bound, n) for n in vars(Functions) if not n.startswith("_")}
+    return emulated | {name: partial(_refuse, name) for name in _NOT_EMULATED}
+
+
+def _refuse(name: str, *_arguments: object, **_named: object) -> None:
+    raise ScriptError(f"{name} is not emulated; docs/emulate.md says what is")
 
 
 def _transform(pose: Sequence[float]) -> Transform:

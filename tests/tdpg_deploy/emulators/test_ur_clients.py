@@ -43,7 +43,7 @@ def test_ur_rtde(model: str) -> None:
     host = new_host()
     with emulated_controller(host, model=model, pace=2.0):
         command = [sys.executable, str(SESSION), host, model]
-        result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+        result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=240)
         assert "all well" in result.stdout, result.stderr
 
 

@@ -137,6 +137,45 @@ def test_script_errors_end_the_program(controller: Controller) -> None:
         assert not controller.is_moving
 
 
+def test_servoing_follows_late_by_the_lookahead_time(controller: Controller) -> None:
+    """A ramp is followed by speed times lookahead, and its end exponentially."""
+    controller.upload(
+        "def servo():\n"
+        "  i = 0\n"
+        "  while True:\n"
+        "    servoj([1.5708 + 0.002 * i, -1.92, 1.745, -1.396, -1.5708, 0], t=0.008, "
+        "lookahead_time=0.1, gain=300)\n"
+        "    if i < 200:\n"
+        "      i = i + 1\n"
+        "    end\n"
+        "  end\n"
+        "end\n"
+    )
+    pass_time(controller, 1.6)
+    end = 1.5708 + 0.002 * 200
+    assert end - controller.q[0] == pytest.approx(0.25 * 0.1, rel=0.1)
+    pass_time(controller, 0.2)
+    assert end - controller.q[0] == pytest.approx(0.25 * 0.1 * np.exp(-2), rel=0.2)
+    controller.stop_program()
+    pass_time(controller, 0.1)
+    assert not controller.is_moving
+
+
+def test_a_servo_target_that_jumps_ends_in_a_protective_stop(controller: Controller) -> None:
+    controller.upload("def jump():\n  servoj([2.5, -1.92, 1.745, -1.396, -1.57, 0], t=0.5)\nend\n")
+    pass_time(controller, 0.5)
+    assert controller.safety is SafetyMode.PROTECTIVE_STOP
+
+
+def test_what_is_not_emulated_is_refused_by_name(
+    controller: Controller, caplog: pytest.LogCaptureFixture
+) -> None:
+    controller.upload("def soft():\n  force_mode(p[0,0,0,0,0,0], [0], [0], 2, [0])\nend\n")
+    pass_time(controller, 0.1)
+    assert controller.runtime is RuntimeState.STOPPED
+    assert "soft: force_mode is not emulated; docs/emulate.md says what is" in caplog.text
+
+
 def test_scripts_are_ignored_while_the_arm_cannot_move(controller: Controller) -> None:
     controller.set_remote(False)
     controller.upload(IDLE)

@@ -72,6 +72,18 @@ def main(host: str, model: str) -> None:
     assert control.speedStop()
     assert near(receive.getActualTCPPose()[:2], before[:2])
 
+    q = np.array(receive.getActualQ())
+    for target in np.linspace(q, q + 0.1, 40):
+        begun = control.initPeriod()
+        assert control.servoJ(list(target), 0, 0, 0.01, 0.05, 300)
+        control.waitPeriod(begun)
+    soon(lambda: near(receive.getActualQ(), q + 0.1))
+    down = pose_at(q + 0.1, 0.163)
+    down[2] -= 0.005
+    assert control.servoL(down, 0, 0, 0.01, 0.05, 300)
+    soon(lambda: same_pose(receive.getActualTCPPose(), down))
+    assert control.servoStop()
+
     assert control.sendCustomScriptFunction("park", f"movej({PARKED}, v=3, a=9)")
     soon(lambda: near(receive.getActualQ(), PARKED))
 
