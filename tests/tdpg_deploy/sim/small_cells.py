@@ -69,9 +69,19 @@ def travel(arm: SimArm, X_base_tool: Transform, on_state: OnArmState | None = No
     )
 
 
-def touch(arm: SimArm, X_base_tool: Transform, stop_force: float = 15.0) -> MotionResult:
+def touch(
+    arm: SimArm,
+    X_base_tool: Transform,
+    stop_force: float = 15.0,
+    on_state: OnArmState | None = None,
+) -> MotionResult:
     """Until there, or until something is in the way."""
     arm.zero_force()
     return arm.move_linear(
-        X_base_tool, speed=0.15, acceleration=1.2, deadline=9.0, stop_force=stop_force
+        X_base_tool,
+        speed=0.15,
+        acceleration=1.2,
+        deadline=9.0,
+        stop_force=stop_force,
+        on_state=on_state,
     )
