@@ -27,7 +27,8 @@ class Approach:
 
     def reach_by_hand(self, X_base_tool: Transform) -> Array | None:
         """Joints (6,) rad in which the arm can stand, or None."""
-        branches = kinematics.inverse(X_base_tool, self._config.arm.X_flange_tool.transform())
+        arm = self._config.arm
+        branches = kinematics.inverse(arm.dh, X_base_tool, arm.X_flange_tool.transform())
         return kinematics.nearest(branches, self._home, self._config.limits.joint_range)
 
     def reach(self, X_base_tool: Transform) -> Array | None:
@@ -43,7 +44,8 @@ class Approach:
 
     def hides(self, q: Array, eye: Array, points: Array) -> bool:
         """Whether the arm at q stands between the eye (3,) and points (n, 3) in base."""
-        return arm_shape.hides(q, self._config.arm.X_flange_tool.transform(), eye, points)
+        arm = self._config.arm
+        return arm_shape.hides(arm.dh, q, arm.X_flange_tool.transform(), eye, points)
 
     def go(self, q: Array) -> None:
         """Home, then to q. Raises PlanRefused before anything moves."""

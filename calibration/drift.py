@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from calibration.printing import TAGS
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array
+from tdpg_deploy.markers import table_tags
 
 LEAST_TAGS = 3
 CORNER_NOISE = 0.08  # px: half as much again as a sharp tag shows, for changing light
@@ -44,8 +44,7 @@ def find_tags(picture: npt.NDArray[np.uint8]) -> TagCorners:
     """picture: (H, W) or (H, W, 3). Corners to a fraction of a pixel."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture)
+    corners, ids, _ = cv2.aruco.ArucoDetector(table_tags(), parameters).detectMarkers(picture)
     if len(corners) == 0:  # ids is None then
         return TagCorners(corners={})
     found = np.asarray(corners, np.float64).reshape(-1, 4, 2)

@@ -18,13 +18,13 @@ import numpy.typing as npt
 from calibration.target import CharucoTarget
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array
+from tdpg_deploy.markers import TABLE_TAGS, TAG_COUNT, TAG_SIDE, marker_rectangles, table_tags
 
 MARGIN = 0.018  # m around the board; the ruler lies in the lower one
 RULER = 0.100  # m
 POINT = 0.0254 / 72  # m
 PAPER = {"A4": (0.297, 0.210), "A3": (0.420, 0.297), "A2": (0.594, 0.420), "A1": (0.841, 0.594)}
 SUFFIXES = (".pdf", ".png")
-TAGS = "DICT_APRILTAG_36h11"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,23 +53,21 @@ def write_sheet(sheet: Sheet, path: Path, *, dpi: int = 600) -> None:
         raise CalibrationError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def lay_out_tags(count: int = 4, side: float = 0.05) -> Sheet:
-    """AprilTags for the table, to be cut apart and glued around the workspace. side: m."""
+def lay_out_tags() -> Sheet:
+    """AprilTags for the table, to be cut apart and glued around the workspace."""
     size = PAPER["A4"]
-    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
-    step = side + 0.015  # white around each tag, and room for scissors
-    columns = int((size[0] - 2 * MARGIN + 0.015) // step)
-    black = []
-    for number in range(count):
-        row, column = divmod(number, columns)
-        corner = np.array([MARGIN + column * step, MARGIN + row * step])
-        black += marker_rectangles(markers, number, side, corner)
+    step = TAG_SIDE + 0.015  # white around each tag, and room for scissors
     return Sheet(
         size=size,
-        black=np.array(black),
+        black=np.concatenate(
+            [
+                marker_rectangles(table_tags(), number, TAG_SIDE, [MARGIN + number * step, MARGIN])
+                for number in range(TAG_COUNT)
+            ]
+        ),
         text_at=(MARGIN, size[1] - 0.008),
-        text=f"{TAGS}, {count} tags of {side * 1e3:g} mm: leave 6 mm of white around each, glue "
-        "them flat around the workspace, in the camera's sight.",
+        text=f"{TABLE_TAGS}, {TAG_COUNT} tags of {TAG_SIDE * 1e3:g} mm: leave 6 mm of white "
+        "around each, glue them flat around the workspace, in the camera's sight.",
     )
 
 
@@ -105,28 +103,12 @@ def black_rectangles(target: CharucoTarget) -> Array:
     rows, columns = np.mgrid[0 : target.rows, 0 : target.columns]
     squares = np.stack([columns.ravel(), rows.ravel()], axis=1)
     white = {tuple(square) for square in np.round(target.white_squares() / s - 0.5).astype(int)}
-    rectangles = [
-        [x * s, y * s, (x + 1) * s, (y + 1) * s] for x, y in squares if (x, y) not in white
+    black = [[x * s, y * s, (x + 1) * s, (y + 1) * s] for x, y in squares if (x, y) not in white]
+    markers = [
+        marker_rectangles(dictionary(target), marker_id, target.marker, middle - target.marker / 2)
+        for marker_id, middle in enumerate(target.white_squares())
     ]
-    for marker_id, middle in enumerate(target.white_squares()):
-        corner = middle - target.marker / 2
-        rectangles += marker_rectangles(dictionary(target), marker_id, target.marker, corner)
-    return np.array(rectangles, np.float64)
-
-
-def marker_rectangles(
-    markers: cv2.aruco.Dictionary, marker_id: int, side: float, corner: Array
-) -> list[list[float]]:
-    """x0, y0, x1, y1 of a marker's dark cells; side: m, black border included; corner: its upper
-    left one (2,), m."""
-    across = int(markers.markerSize) + 2
-    dark = cv2.aruco.generateImageMarker(markers, marker_id, across, borderBits=1) == 0
-    x, y = (float(value) for value in corner)
-    cell = side / across
-    return [
-        [x + x0 * cell, y + row * cell, x + x1 * cell, y + (row + 1) * cell]
-        for x0, x1, row in _dark_runs(dark)
-    ]
+    return np.concatenate([np.array(black, np.float64), *markers])
 
 
 def dictionary(target: CharucoTarget) -> cv2.aruco.Dictionary:
@@ -144,15 +126,6 @@ def dictionary(target: CharucoTarget) -> cv2.aruco.Dictionary:
             "choose a larger dictionary or a smaller board"
         )
     return found
-
-
-def _dark_runs(cells: npt.NDArray[np.bool_]) -> list[tuple[int, int, int]]:
-    """Runs (x0, x1, y) of dark cells, so that no hairlines show between them."""
-    runs = []
-    for y, row in enumerate(cells):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
-        runs += [(int(a), int(b), y) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return runs
 
 
 def raster(rectangles: Array, size: tuple[float, float], scale: float) -> npt.NDArray[np.uint8]:

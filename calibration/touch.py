@@ -107,7 +107,7 @@ def plan_touch(place: Array, config: CellConfig) -> tuple[Step, ...]:
     refusal: PlanRefused | None = None
     for yaw in np.deg2rad([0.0, 90.0, 180.0, -90.0]):
         above = top_down(x, y, travel, yaw)
-        branches = kinematics.inverse(above, config.arm.X_flange_tool.transform())
+        branches = kinematics.inverse(config.arm.dh, above, config.arm.X_flange_tool.transform())
         q_above = kinematics.nearest(branches, home, limits.joint_range)
         if q_above is None:
             continue

@@ -25,6 +25,7 @@ from pydantic import (
 from tdpg_deploy.calibration_file import Calibration, load_calibration
 from tdpg_deploy.errors import CalibrationError, ConfigError
 from tdpg_deploy.geometry import Transform
+from tdpg_deploy.kinematics import MODELS, DhParameters
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -141,14 +142,18 @@ class CameraSection(_Section):
 
 
 class ArmSection(_Section):
-    """The UR5. `X_flange_tool` puts the tool between the closed finger tips."""
+    """The UR5 or UR5e. `X_flange_tool` puts the tool between the closed finger tips."""
 
     driver: Literal["ur"] = "ur"
-    model: Literal["ur5"] = "ur5"
+    model: Literal["ur5", "ur5e"] = "ur5"
     host: str = "192.168.0.2"
     X_flange_tool: Pose = Pose(position=(0.0, 0.0, 0.163))
     payload: Annotated[Kilograms, Field(ge=0, le=5)] = 0.925
     home: tuple[Radians, Radians, Radians, Radians, Radians, Radians]
+
+    @property
+    def dh(self) -> DhParameters:
+        return MODELS[self.model]
 
 
 class GripperSection(_Section):
@@ -196,14 +201,20 @@ class EpisodeSection(_Section):
     max_actions: Annotated[int, Field(ge=1, le=100_000)] = 200
 
 
+def _carrier(name: object) -> object:
+    """Cells that were logged before `arm.model` knew the UR5e call the arm "ur5"."""
+    return "arm" if name == "ur5" else name
+
+
 class SimulationSection(_Section):
     """The mock cell only: what is true there, and how it is simulated."""
 
-    carrier: Literal["ur5", "gantry"] = "ur5"
+    carrier: Annotated[Literal["arm", "gantry"], BeforeValidator(_carrier)] = "arm"
     depth_noise: bool = True
     friction: Annotated[float, Field(ge=0.1, le=2)] = 0.6  # of blocks; Bullet multiplies a pair's
     density: Annotated[float, Field(ge=50, le=5000)] = 650.0  # kg/m^3, beech wood
     light: tuple[float, float, float] = (0.4, 0.5, 1.0)  # direction towards the lamp, base frame
+    table_tags: bool = False  # glued around the workspace, for the camera to know its place by
     X_base_camera: Pose | None = None  # true pose; the calibrated one when absent
 
 
@@ -225,10 +236,10 @@ class CellConfig(_Section):
         x, y = self.workspace.center
         half = WORKSPACE_SIDE / 2
         farthest = float(np.hypot(abs(x) + half, abs(y) + half))
-        if farthest > UR5_REACH:
+        if farthest > REACH:
             raise ValueError(
                 f"workspace.center = ({x}, {y}) m puts a corner {farthest:.3f} m from the base; "
-                f"a UR5 reaches {UR5_REACH} m: move the workspace closer"
+                f"a {self.arm.dh.name} reaches {REACH} m: move the workspace closer"
             )
         return self
 
@@ -238,7 +249,7 @@ class CellConfig(_Section):
 
 
 WORKSPACE_SIDE = 0.448  # m, 224 pixels of 2 mm (paper, sections III and IV)
-UR5_REACH = 0.85  # m, UR5 user manual, "working radius"
+REACH = 0.85  # m, UR5 and UR5e user manuals, "working radius"
 
 
 def parse_cell(data: dict[str, Any], *, source: str = "cell") -> CellConfig:

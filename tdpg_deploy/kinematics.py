@@ -1,4 +1,4 @@
-"""UR5 kinematics in UR's `base` frame, for a tool fixed to the flange. Pure, and in batches.
+"""Kinematics of a UR arm in its `base` frame, for a tool fixed to the flange. Pure, in batches.
 
 The closed form is written out here because `ur_analytic_ik` (the tests' reference) loses
 branches and writes to stdout near a wrist 3 of 0, where this cell parks its arm
@@ -8,32 +8,60 @@ branches and writes to stdout near a wrist 3 of 0, where this cell parks its arm
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from tdpg_deploy.geometry import Array, Transform
 
-# Universal Robots, "DH Parameters for calculations of kinematics and dynamics": UR5, m and rad.
-D1, D4, D5, D6 = 0.089159, 0.10915, 0.09465, 0.0823
-A2, A3 = -0.425, -0.39225
-_D = (D1, 0.0, 0.0, D4, D5, D6)
-_A = (0.0, A2, A3, 0.0, 0.0, 0.0)
-_ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+
+@dataclass(frozen=True, kw_only=True)
+class DhParameters:
+    """Denavit-Hartenberg lengths of a UR arm, m; its twists are those of every UR arm."""
+
+    name: str
+    d1: float
+    a2: float
+    a3: float
+    d4: float
+    d5: float
+    d6: float
+
+    @property
+    def joints(self) -> tuple[tuple[float, float, float], ...]:
+        """d (m), a (m) and alpha (rad) of each joint."""
+        return (
+            (self.d1, 0.0, np.pi / 2),
+            (0.0, self.a2, 0.0),
+            (0.0, self.a3, 0.0),
+            (self.d4, 0.0, np.pi / 2),
+            (self.d5, 0.0, -np.pi / 2),
+            (self.d6, 0.0, 0.0),
+        )
+
+
+# Universal Robots, "DH Parameters for calculations of kinematics and dynamics".
+UR5 = DhParameters(
+    name="UR5", d1=0.089159, a2=-0.425, a3=-0.39225, d4=0.10915, d5=0.09465, d6=0.0823
+)
+UR5E = DhParameters(name="UR5e", d1=0.1625, a2=-0.425, a3=-0.3922, d4=0.1333, d5=0.0997, d6=0.0996)
+MODELS: Mapping[str, DhParameters] = {"ur5": UR5, "ur5e": UR5E}  # by the cell file's arm.model
 
 _SHOULDER, _WRIST, _ELBOW = np.array(list(itertools.product((1, -1), repeat=3))).T  # branches
 
 
-def forward(q: npt.ArrayLike, X_flange_tool: Transform) -> Transform:
+def forward(dh: DhParameters, q: npt.ArrayLike, X_flange_tool: Transform) -> Transform:
     """X_base_tool at joint positions q (6,) rad."""
-    return Transform.from_matrix(forward_batch(np.asarray(q)) @ X_flange_tool.as_matrix())
+    return Transform.from_matrix(forward_batch(dh, q) @ X_flange_tool.as_matrix())
 
 
-def forward_batch(q: npt.ArrayLike) -> Array:
+def forward_batch(dh: DhParameters, q: npt.ArrayLike) -> Array:
     """X_base_flange as matrices (..., 4, 4) at q (..., 6) rad."""
     q = np.asarray(q, np.float64)
     X: Array = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
-    for i, (d, a, alpha) in enumerate(zip(_D, _A, _ALPHA, strict=True)):
+    for i, (d, a, alpha) in enumerate(dh.joints):
         c, s, ca, sa = np.cos(q[..., i]), np.sin(q[..., i]), np.cos(alpha), np.sin(alpha)
         link = np.zeros((*q.shape[:-1], 4, 4))
         link[..., 0, 0], link[..., 0, 1], link[..., 0, 2], link[..., 0, 3] = (
@@ -54,14 +82,14 @@ def forward_batch(q: npt.ArrayLike) -> Array:
     return X
 
 
-def inverse(X_base_tool: Transform, X_flange_tool: Transform) -> Array:
+def inverse(dh: DhParameters, X_base_tool: Transform, X_flange_tool: Transform) -> Array:
     """All branches (n, 6) rad, each angle within [-pi, pi]; (0, 6) when out of reach."""
-    branches = inverse_batch(X_base_tool.as_matrix() @ X_flange_tool.inverse().as_matrix())
+    branches = inverse_batch(dh, X_base_tool.as_matrix() @ X_flange_tool.inverse().as_matrix())
     reached: Array = branches[np.isfinite(branches).all(axis=-1)]
     return reached
 
 
-def inverse_batch(X_base_flange: Array) -> Array:
+def inverse_batch(dh: DhParameters, X_base_flange: Array) -> Array:
     """Eight branches (..., 8, 6) rad for poses (..., 4, 4); nan for those out of reach.
 
     Branches are shoulder x wrist x elbow. Wrist 3 is 0 where it is free (sin(wrist 2) = 0).
@@ -69,8 +97,8 @@ def inverse_batch(X_base_flange: Array) -> Array:
     R, p = X_base_flange[..., :3, :3], X_base_flange[..., :3, 3]
 
     # Wrist 1..3's offset d4 stands square on the plane of the arm, which turns by q1.
-    p5 = p - D6 * R[..., :, 2]
-    opening = _arccos(D4 / np.maximum(np.hypot(p5[..., 0], p5[..., 1]), 1e-12))
+    p5 = p - dh.d6 * R[..., :, 2]
+    opening = _arccos(dh.d4 / np.maximum(np.hypot(p5[..., 0], p5[..., 1]), 1e-12))
     azimuth = np.arctan2(p5[..., 1], p5[..., 0])
     q1 = azimuth[..., None] + np.pi / 2 + _SHOULDER * opening[..., None]
     c1, s1 = np.cos(q1), np.sin(q1)
@@ -84,10 +112,10 @@ def inverse_batch(X_base_flange: Array) -> Array:
     # What is left is planar, in the radial direction x1 = (c1, s1, 0) and up.
     y5 = np.sin(q6)[..., None] * R[..., None, :, 0] + np.cos(q6)[..., None] * R[..., None, :, 1]
     q234 = np.arctan2(-(c1 * y5[..., 0] + s1 * y5[..., 1]), y5[..., 2])
-    x = c1 * p5[..., None, 0] + s1 * p5[..., None, 1] - D5 * np.sin(q234)
-    y = p5[..., None, 2] - D1 + D5 * np.cos(q234)
-    q3 = _ELBOW * _arccos((x**2 + y**2 - A2**2 - A3**2) / (2 * A2 * A3))
-    q2 = np.arctan2(y, x) - np.arctan2(A3 * np.sin(q3), A2 + A3 * np.cos(q3))
+    x = c1 * p5[..., None, 0] + s1 * p5[..., None, 1] - dh.d5 * np.sin(q234)
+    y = p5[..., None, 2] - dh.d1 + dh.d5 * np.cos(q234)
+    q3 = _ELBOW * _arccos((x**2 + y**2 - dh.a2**2 - dh.a3**2) / (2 * dh.a2 * dh.a3))
+    q2 = np.arctan2(y, x) - np.arctan2(dh.a3 * np.sin(q3), dh.a2 + dh.a3 * np.cos(q3))
     return _wrapped(np.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], axis=-1))
 
 
@@ -100,9 +128,9 @@ def _wrapped(angle: Array) -> Array:
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
 
 
-def branch_of(q: Array) -> int:
+def branch_of(dh: DhParameters, q: Array) -> int:
     """Which of the eight branches of `inverse_batch` the arm is in at q (6,) rad."""
-    branches = inverse_batch(forward_batch(q))
+    branches = inverse_batch(dh, forward_batch(dh, q))
     return int(np.nanargmin(np.abs(_wrapped(branches - q)).max(axis=-1)))
 
 
@@ -121,7 +149,7 @@ def nearest(branches: Array, q: Array, joint_range: tuple[float, float]) -> Arra
     return best
 
 
-def elbow_height(q: npt.ArrayLike) -> Array:
+def elbow_height(dh: DhParameters, q: npt.ArrayLike) -> Array:
     """Height (...) of the elbow's axis in base, m, at q (..., 6) rad."""
-    height: Array = D1 + A2 * np.sin(np.asarray(q, np.float64)[..., 1])
+    height: Array = dh.d1 + dh.a2 * np.sin(np.asarray(q, np.float64)[..., 1])
     return height

@@ -1,4 +1,4 @@
-"""A push or a grasp, and what is known of the table -> a plan for a UR5 with a 2F-85. Pure.
+"""A push or a grasp, and what is known of the table -> a plan for a UR arm with a 2F-85. Pure.
 
 The tool frame lies between the *closed* finger tips, z down, x the closing direction. Fingers
 that open swing up: every height here is that of closed tips, the lowest they ever are.
@@ -180,9 +180,9 @@ def _above(x: float, y: float, yaw: float, config: CellConfig) -> tuple[Array, f
 def _joints_at(name: str, X_base_tool: Transform, q_near: Array, config: CellConfig) -> Array:
     """Joints (6,) that reach the pose without leaving the branch (shoulder, wrist, elbow) of
     home, so that no motion ever folds the arm over."""
-    X_tool_flange = config.arm.X_flange_tool.transform().inverse()
-    branches = kinematics.inverse_batch((X_base_tool @ X_tool_flange).as_matrix())
-    branch = kinematics.branch_of(np.array(config.arm.home))
+    dh, X_tool_flange = config.arm.dh, config.arm.X_flange_tool.transform().inverse()
+    branches = kinematics.inverse_batch(dh, (X_base_tool @ X_tool_flange).as_matrix())
+    branch = kinematics.branch_of(dh, np.array(config.arm.home))
     q = kinematics.nearest(branches[[branch]], q_near, config.limits.joint_range)
     if q is None:
         raise _out_of_reach(name, X_base_tool)

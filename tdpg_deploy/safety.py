@@ -5,7 +5,7 @@ waypoint that breaks a rule:
 
 1. Every number is finite; speeds, accelerations and forces stay within the cell's limits.
 2. The arm reaches all of every path, each joint stays in its range, the elbow stays high, and
-   no joint has to turn faster than a UR5's can (near a singularity it would).
+   no joint has to turn faster than the arm's can (near a singularity it would).
 3. Over the workspace, joint motions stay at travel height and linear motions clear of the
    table. Outside of it nothing goes lower than the bin. A linear motion below travel height
    stops on force.
@@ -27,7 +27,7 @@ from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import DOF
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 
-MAX_JOINT_SPEED = np.pi  # rad/s, UR5 user manual: all joints 180 deg/s
+MAX_JOINT_SPEED = np.pi  # rad/s, UR5 and UR5e user manuals: all joints 180 deg/s
 ELBOW_CLEARANCE = 0.10  # m between the table and the elbow's axis; the arm is 0.06 m thick there
 SAG = 0.04  # m that a joint motion may dip under travel height between two poses at it
 MAX_FINGER_FORCE = 235.0  # N, 2F-85 manual
@@ -113,18 +113,19 @@ class _Path:
 def _joint_path(q: Array, step: MoveJoints, config: CellConfig) -> _Path:
     samples = _samples(float(np.abs(step.q - q).max()) / _TURN)
     joints = q + samples[:, None] * (step.q - q)
-    tools = kinematics.forward_batch(joints) @ config.arm.X_flange_tool.transform().as_matrix()
+    flanges = kinematics.forward_batch(config.arm.dh, joints)
+    tools = flanges @ config.arm.X_flange_tool.transform().as_matrix()
     return _Path(q=joints, position=tools[:, :3, 3])
 
 
 def _linear_path(q: Array, step: MoveLinear, label: str, config: CellConfig) -> _Path:
-    X_flange_tool = config.arm.X_flange_tool.transform()
-    start, end = kinematics.forward(q, X_flange_tool), step.X_base_tool
+    dh, X_flange_tool = config.arm.dh, config.arm.X_flange_tool.transform()
+    start, end = kinematics.forward(dh, q, X_flange_tool), step.X_base_tool
     length, angle = start.distance(end)
     samples = _samples(max(length / _STEP, angle / _TURN))
     tools = _interpolate(start, end, samples)
     flanges = tools @ X_flange_tool.inverse().as_matrix()
-    joints = kinematics.inverse_batch(flanges)[:, kinematics.branch_of(q)]
+    joints = kinematics.inverse_batch(dh, flanges)[:, kinematics.branch_of(dh, q)]
 
     reached = np.isfinite(joints).all(axis=1)
     if not reached.all():
@@ -168,7 +169,7 @@ def _check_path(path: _Path, step: MoveJoints | MoveLinear, label: str, config: 
             f"{label} turns joint {joint} to {path.q[-1, joint]:.2f} rad, outside "
             f"limits.joint_range [{low:.2f}, {high:.2f}]"
         )
-    elbow = float(kinematics.elbow_height(path.q).min()) - workspace.table_z
+    elbow = float(kinematics.elbow_height(config.arm.dh, path.q).min()) - workspace.table_z
     if elbow < ELBOW_CLEARANCE:
         raise PlanRefused(
             f"{label} brings the elbow to {elbow:.3f} m above the table, less than "

@@ -86,7 +86,9 @@ class ArmContract:
         assert before - JITTER <= state.stamp <= rig.clock.now() + JITTER
         assert state.q.shape == state.qd.shape == (6,)
         assert state.force.shape == (3,)
-        distance, angle = state.X_base_tool.distance(forward(state.q, _X_flange_tool(rig)))
+        distance, angle = state.X_base_tool.distance(
+            forward(rig.config.arm.dh, state.q, _X_flange_tool(rig))
+        )
         assert distance < rig.exact
         assert angle < 5e-3
 
@@ -301,9 +303,9 @@ def _at_floor(rig: ArmRig, height: float) -> Transform:
 
 
 def _joints_above(rig: ArmRig, dx: float, dy: float) -> Array:
-    home = np.array(rig.config.arm.home)
+    dh, home = rig.config.arm.dh, np.array(rig.config.arm.home)
     X_base_flange = _above(rig, dx, dy) @ _X_flange_tool(rig).inverse()
-    branches = inverse_batch(X_base_flange.as_matrix())[[branch_of(home)]]
+    branches = inverse_batch(dh, X_base_flange.as_matrix())[[branch_of(dh, home)]]
     q = nearest(branches, home, rig.config.limits.joint_range)
     assert q is not None
     return q

@@ -63,7 +63,8 @@ class Table:
 
     @property
     def X_base_tool(self) -> Transform:
-        return forward(self.q, self.config.arm.X_flange_tool.transform())
+        arm = self.config.arm
+        return forward(arm.dh, self.q, arm.X_flange_tool.transform())
 
     def top_at(self, x: float, y: float) -> float:
         """z in base of the highest thing there."""
@@ -132,11 +133,12 @@ class FakeArm:
         here = self.table.X_base_tool
         count = _steps(here.distance(X_base_tool)[0], speed)
         path = []
-        branch, q = branch_of(self.table.q), self.table.q
+        dh, q = self.table.config.arm.dh, self.table.q
+        branch = branch_of(dh, q)
         for share in np.linspace(0, 1, count + 1)[1:]:
             p = here.translation + share * (X_base_tool.translation - here.translation)
             flange = Transform(X_base_tool.rotation, p) @ self._X_tool_flange
-            found = nearest(inverse_batch(flange.as_matrix())[[branch]], q, (-6.3, 6.3))
+            found = nearest(inverse_batch(dh, flange.as_matrix())[[branch]], q, (-6.3, 6.3))
             if found is None:
                 raise ArmError(f"{p} is out of reach")
             q = found
@@ -164,9 +166,9 @@ class FakeArm:
         if number == self.fail_in:
             raise self.failure
         self._halted = False
-        ends = self.table.now() + deadline
+        arm, ends = self.table.config.arm, self.table.now() + deadline
         for q in path:
-            lower = forward(q, self.table.config.arm.X_flange_tool.transform()).translation
+            lower = forward(arm.dh, q, arm.X_flange_tool.transform()).translation
             if stop_force is not None and self._touches(lower):
                 return MotionResult(end=MotionEnd.CONTACT, state=self.state())
             self.table.q = q

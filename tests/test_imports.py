@@ -37,7 +37,7 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "calibration": ["calibration", "tdpg_deploy"],
     "tdpg_deploy.errors": [],
     "tdpg_deploy.geometry": [],
-    "tdpg_deploy.cell_config": FOUNDATION,
+    "tdpg_deploy.cell_config": [*FOUNDATION, "tdpg_deploy.kinematics"],
     "tdpg_deploy.hal": FOUNDATION,
     "tdpg_deploy.calibration_file": FOUNDATION,
     "tdpg_deploy.depth_model": [],
@@ -46,6 +46,7 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "tdpg_deploy.outcome": [],
     "tdpg_deploy.kinematics": FOUNDATION,
     "tdpg_deploy.compiled": [],
+    "tdpg_deploy.markers": [],
     "tdpg_deploy.averaging": COMPILER,
     "tdpg_deploy.workspace": [*FOUNDATION, "policies.heightmap"],
     "tdpg_deploy.perception": FOUNDATION + VALUES + COMPILER,
@@ -56,7 +57,7 @@ MAY_IMPORT: dict[str, list[str] | None] = {
     "tdpg_deploy.safety": [*FOUNDATION, *STEP, "tdpg_deploy.kinematics"],
     "tdpg_deploy.sim": [
         *FOUNDATION, *COMPILER, "policies.heightmap", "tdpg_deploy.sim", "tdpg_deploy.kinematics",
-        "tdpg_deploy.averaging", "tdpg_deploy.workspace",
+        "tdpg_deploy.averaging", "tdpg_deploy.markers", "tdpg_deploy.workspace",
     ],
     "tdpg_deploy.drivers": [
         *FOUNDATION, "tdpg_deploy.drivers", "tdpg_deploy.kinematics", "tdpg_deploy.averaging",

@@ -39,8 +39,8 @@ def new_host() -> str:
     return f"127.{pid >> 8 & 0xFF}.{pid & 0xFF}.{2 + next(_numbers) % 250}"
 
 
-def arm_section(host: str) -> ArmSection:
-    return load_cell(DEFAULT_CELL).arm.model_copy(update={"host": host})
+def arm_section(host: str, model: str = "ur5") -> ArmSection:
+    return load_cell(DEFAULT_CELL).arm.model_copy(update={"host": host, "model": model})
 
 
 @contextmanager

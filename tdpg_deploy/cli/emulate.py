@@ -43,7 +43,9 @@ def parser() -> argparse.ArgumentParser:
         help="times real time, at most 4 (default: 1)",
     )
     p.add_argument(
-        "--generation", choices=("cb3", "e-series"), default="cb3", help="of the controller"
+        "--model",
+        choices=("ur5", "ur5e"),
+        help="of the arm (default: the cell file's); a UR5e has an e-series controller",
     )
     p.add_argument(
         "--write-config", type=Path, metavar="FILE", help="the cell file to connect with"

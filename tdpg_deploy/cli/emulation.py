@@ -16,7 +16,7 @@ from tdpg_deploy.cli.session import choose_scene
 from tdpg_deploy.emulators.cell import EmulatedCell, emulated_cell
 from tdpg_deploy.emulators.cell_file import format_cell
 from tdpg_deploy.emulators.cell_pendant import CellPendant
-from tdpg_deploy.emulators.ur_controller.modes import GENERATIONS
+from tdpg_deploy.emulators.ur_controller.modes import CONTROLLERS
 from tdpg_deploy.errors import ConfigError, TdpgError
 
 ENDED, BAD_INPUT = 0, 2
@@ -36,11 +36,11 @@ def run_emulation(args: argparse.Namespace) -> int:
 
 async def _emulate(args: argparse.Namespace) -> None:
     config = load_cell(args.config or DEFAULT_CELL)
+    if args.model is not None:
+        arm = config.arm.model_copy(update={"model": args.model})
+        config = config.model_copy(update={"arm": arm})
     scene = choose_scene(args, config, np.random.default_rng(args.seed))
-    generation = GENERATIONS[args.generation]
-    async with emulated_cell(
-        config, scene, generation=generation, seed=args.seed, pace=args.pace
-    ) as cell:
+    async with emulated_cell(config, scene, seed=args.seed, pace=args.pace) as cell:
         ended = asyncio.ensure_future(_ended())
         _listen(CellPendant(cell))
         if args.write_config is not None:
@@ -87,12 +87,13 @@ def _write(args: argparse.Namespace, config: CellConfig) -> None:
 def _greeting(args: argparse.Namespace, cell: EmulatedCell) -> str:
     arm, gripper, camera = cell.config.arm, cell.config.gripper, cell.config.camera
     assert camera.emulated is not None
-    version = ".".join(map(str, GENERATIONS[args.generation].version[:3]))
+    version = ".".join(map(str, CONTROLLERS[arm.model].version[:3]))
     where = gripper.port or f"{gripper.host}:{gripper.tcp_port}"
     file = args.write_config or "FILE"
     return (
         f"{len(cell.world.bodies)} objects on the table, {args.pace:g} times real time\n"
-        f"arm      {arm.host} (PolyScope {version}: RTDE 30004, scripts 30003, dashboard 29999)\n"
+        f"arm      {arm.host} ({arm.dh.name}, PolyScope {version}: RTDE 30004, scripts 30003, "
+        f"dashboard 29999)\n"
         f"gripper  {where} ({gripper.driver})\n"
         f"camera   {camera.emulated[0]}:{camera.emulated[1]} (camera.emulated)\n"
         f"connect  tdpg-run --real --config {file}"

@@ -10,6 +10,7 @@ from tdpg_deploy.cell_config import ArmSection
 from tdpg_deploy.doctor.finding import Finding, judge
 from tdpg_deploy.doctor.rtde_watch import Listening, listen
 from tdpg_deploy.drivers.ur5_network import (
+    ask_model,
     ask_modes,
     ask_remote_control,
     ask_version,
@@ -22,6 +23,7 @@ from tdpg_deploy.drivers.ur5_status import (
     SafetyMode,
     safety_problem,
 )
+from tdpg_deploy.kinematics import MODELS, DhParameters
 
 ARM = "arm"
 LATE = 5  # periods between two states
@@ -38,6 +40,7 @@ def examine_arm(section: ArmSection) -> Iterator[Finding]:
         bad=True,
         remedy="update PolyScope to 3.4, or 5.4 on an e-series",
     )
+    yield judge_model(ask_model(section.host, version), section.dh)
     yield from _modes(section.host)
     if version.has_remote_control:
         yield judge(
@@ -68,6 +71,18 @@ def _modes(host: str) -> Iterator[Finding]:
         bad=True,
         remedy=str(problem),
     )
+
+
+def judge_model(told: str | None, expected: DhParameters) -> Finding:
+    """In doubt where an old controller does not tell; the driver looks at tool poses, too."""
+    if told is None:
+        remedy = f"make sure that the arm is a {expected.name}, else change arm.model"
+    elif told.lower() in MODELS:
+        remedy = f'set arm.model = "{told.lower()}", and see that arm.home suits it'
+    else:
+        remedy = f"use one of {', '.join(dh.name for dh in MODELS.values())}"
+    good, bad = told == expected.name, told is not None
+    return judge(ARM, "model", told or "not told", good=good, bad=bad, remedy=remedy)
 
 
 def judge_rate(heard: Listening, rate: float) -> Finding:

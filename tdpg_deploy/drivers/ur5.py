@@ -1,4 +1,4 @@
-"""A UR5 behind ur_rtde: `hal.Arm` on CB3 (3.4 and newer) and e-series (5.4 and newer).
+"""A UR5 or UR5e behind ur_rtde: `hal.Arm` on CB3 (3.4 and newer) and e-series (5.4 and newer).
 
 Motions are asynchronous, and watched from here at the rate of the controller's states: force,
 safety, speed slider, program, deadline. ur_rtde itself lives in a child process (ur5_child.py).
@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import ArmSection
 from tdpg_deploy.drivers.ur5_link import AT_REST, UrLink
 from tdpg_deploy.drivers.ur5_status import ControllerVersion, Sample
 from tdpg_deploy.errors import ArmError, DeviceError, DeviceTimeout
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.hal import ArmState, Clock, MotionEnd, MotionResult, OnArmState
+from tdpg_deploy.kinematics import MODELS, DhParameters, forward, inverse
 
 STOP_DECELERATION = 10.0  # rad/s^2
 CONTACT_DECELERATION = 20.0  # rad/s^2: 0.15 m/s at half a metre's reach ends within 2 mm
@@ -28,8 +28,8 @@ ZERO_SAMPLES = 25  # 0.2 s
 ON_STATE_EVERY = 3  # samples: 40 Hz
 AT_TARGET_JOINTS = 0.005  # rad
 AT_TARGET = (0.002, 0.01)  # m, rad
-JOINT_RANGE = 2 * np.pi  # rad either way, UR5 user manual
-MODEL_TOLERANCE = (0.02, 0.05)  # m, rad: factory calibration moves a UR5 by a few millimetres
+JOINT_RANGE = 2 * np.pi  # rad either way, UR5 and UR5e user manuals
+MODEL_TOLERANCE = (0.02, 0.05)  # m, rad: factory calibration moves an arm by a few millimetres
 GRIPPER_COG = (0.0, 0.0, 0.058)  # m from the flange, 2F-85 manual, section 6.1
 
 
@@ -41,6 +41,15 @@ class _Target:
     numbers: tuple[float, ...]
     is_reached: Callable[[ArmState], bool]
     text: str
+
+
+def _model_at(state: ArmState, X_flange_tool: Transform) -> DhParameters | None:
+    """The arm that has its tool there at these joints."""
+    for dh in MODELS.values():
+        distance, angle = forward(dh, state.q, X_flange_tool).distance(state.X_base_tool)
+        if distance < MODEL_TOLERANCE[0] and angle < MODEL_TOLERANCE[1]:
+            return dh
+    return None
 
 
 class UrArm:
@@ -93,14 +102,18 @@ class UrArm:
         self.connect()
 
     def _check_model(self) -> None:
-        state = self.state()
-        expected = kinematics.forward(state.q, self._X_flange_tool)
-        distance, angle = expected.distance(state.X_base_tool)
-        if distance > MODEL_TOLERANCE[0] or angle > MODEL_TOLERANCE[1]:
+        asked, state = self._config.dh, self.state()
+        found = _model_at(state, self._X_flange_tool)
+        if found is None:
             raise ArmError(
-                f"the controller sees its tool {distance * 1000:.0f} mm and {angle:.2f} rad from "
-                "where a UR5 has it: check arm.X_flange_tool, and that the arm is a UR5; a UR5e "
-                "has other links and is not supported"
+                f"the controller has its tool at {np.round(state.X_base_tool.translation, 3)} m, "
+                f"where neither a {' nor a '.join(dh.name for dh in MODELS.values())} has it: this "
+                "driver knows no other arm"
+            )
+        if found != asked:
+            raise ArmError(
+                f"the arm is a {found.name}, and the cell file is one for a {asked.name}: set "
+                f'arm.model = "{found.name.lower()}", and see that arm.home suits it'
             )
 
     # --- state --------------------------------------------------------------------------------
@@ -160,7 +173,7 @@ class UrArm:
         stop_force: float | None = None,
         on_state: OnArmState | None = None,
     ) -> MotionResult:
-        if not len(kinematics.inverse(X_base_tool, self._X_flange_tool)):
+        if not len(inverse(self._config.dh, X_base_tool, self._X_flange_tool)):
             raise ArmError(  # the controller would end the driver's program
                 f"the arm cannot reach tool pose {np.round(X_base_tool.translation, 3).tolist()} m:"
                 " nothing was moved"

@@ -6,6 +6,7 @@ messages do not tell a switched-off controller from a wrong address. So this ask
 
 from __future__ import annotations
 
+import re
 import socket
 import struct
 import time
@@ -152,6 +153,14 @@ def ask_modes(host: str) -> tuple[int, int]:
 
 def ask_remote_control(host: str) -> bool:
     return ask_dashboard(host, "is in remote control")[0].lower() == "true"
+
+
+def ask_model(host: str, version: ControllerVersion) -> str | None:
+    """As "UR5e": the dashboard tells the size, the software the series. None from a controller
+    that does not know the question, older than 3.12, or 5.6."""
+    reply = ask_dashboard(host, "get robot model")[0]
+    size = re.match(r"UR\d+", reply)
+    return size[0] + ("e" if version.major >= 5 else "") if size else None
 
 
 def check_script_port(host: str, *, deadline: float = 2.0) -> None:

@@ -18,7 +18,7 @@ from tdpg_deploy.emulators.robotiq import RobotiqModel
 from tdpg_deploy.emulators.robotiq_wires import RobotiqEmulator
 from tdpg_deploy.emulators.robotiq_world import WorldJaws
 from tdpg_deploy.emulators.ur_controller.controller import Controller
-from tdpg_deploy.emulators.ur_controller.modes import Generation
+from tdpg_deploy.emulators.ur_controller.modes import CONTROLLERS
 from tdpg_deploy.emulators.ur_controller.server import Server
 from tdpg_deploy.emulators.ur_controller.world_plant import WorldPlant
 from tdpg_deploy.errors import ConfigError
@@ -40,7 +40,7 @@ class EmulatedCell:
 
 @contextlib.asynccontextmanager
 async def emulated_cell(
-    config: CellConfig, scene: Scene, *, generation: Generation, seed: int, pace: float
+    config: CellConfig, scene: Scene, *, seed: int, pace: float
 ) -> AsyncIterator[EmulatedCell]:
     """A running cell; afterwards its ports and terminals are closed.
 
@@ -53,6 +53,7 @@ async def emulated_cell(
         exits.callback(world.close)
         jaws = WorldJaws(world)
         plant = WorldPlant(world, before_step=jaws.advance)
+        generation = CONTROLLERS[config.arm.model]
         arm = Server(Controller(plant, generation, pace=pace), config.arm.host)
         exits.push_async_callback(arm.unplug)
         gripper = exits.enter_context(RobotiqEmulator(RobotiqModel(jaws, world.clock.now)))

@@ -18,7 +18,7 @@ LOCALHOST = "127.0.0.1"
 
 def emulated(config: CellConfig) -> CellConfig:
     """The cell of `config` on this machine: at its own address where that is a loopback address,
-    else at 127.0.0.1; with the emulated gripper's counts and the simulated UR5."""
+    else at 127.0.0.1; with the emulated gripper's counts and the simulated arm."""
     host = config.arm.host if _is_loopback(config.arm.host) else LOCALHOST
     return config.model_copy(
         update={
@@ -34,7 +34,7 @@ def emulated(config: CellConfig) -> CellConfig:
                     "closed_counts": CLOSED_COUNTS,
                 }
             ),
-            "simulation": config.simulation.model_copy(update={"carrier": "ur5"}),
+            "simulation": config.simulation.model_copy(update={"carrier": "arm"}),
         }
     )
 

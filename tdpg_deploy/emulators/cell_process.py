@@ -20,7 +20,7 @@ from tdpg_deploy.errors import DeviceTimeout, DeviceUnreachable
 
 START_LIMIT = 60.0  # s
 ANSWER_LIMIT = 20.0  # s
-END_LIMIT = 20.0  # s
+END_LIMIT = 60.0  # s; a loaded machine takes its time to end an interpreter
 
 
 class CellProcess:

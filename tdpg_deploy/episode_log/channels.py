@@ -31,6 +31,7 @@ from tdpg_deploy.episode_log.entries import (
 from tdpg_deploy.hal import GripperState
 
 COLOR = "/camera/color"
+PREVIEW = "/camera/preview"
 DEPTH = "/camera/depth"
 CALIBRATION = "/camera/calibration"
 TRANSFORMS = "/tf"
@@ -54,6 +55,7 @@ RESULT = "/result"
 
 PROTOBUF: dict[str, Any] = {
     COLOR: CompressedImage,
+    PREVIEW: CompressedImage,
     DEPTH: RawImage,
     CALIBRATION: CameraCalibration,
     TRANSFORMS: FrameTransforms,
@@ -78,8 +80,8 @@ DOCUMENTS: dict[str, Any] = {
     OUTCOME: Conclusion,
     RESULT: End,
 }
-PICTURES = frozenset({COLOR, HEIGHTMAP_COLOR, Q_PUSH, Q_GRASP})  # what a page shows
-MEASURED = frozenset({DEPTH, CALIBRATION, HEIGHTMAP, HEIGHTMAP_POINTS})
+PICTURES = frozenset({PREVIEW, HEIGHTMAP_COLOR, Q_PUSH, Q_GRASP})  # what a page shows
+MEASURED = frozenset({COLOR, DEPTH, CALIBRATION, HEIGHTMAP, HEIGHTMAP_POINTS})
 IMAGES = PICTURES | MEASURED
 
 

@@ -45,6 +45,8 @@ JOINT_NAMES = (
 )
 
 PNG_LEVEL = 1  # of a noisy 720p image: 0.6 of the time of the default, for 2 % more bytes
+PREVIEW_WIDTH = 640  # pixels
+PREVIEW_QUALITY = 82  # of JPEG
 MAX_SIDE = 4096  # pixels; no camera of ours is larger, and a hostile header may not cost memory
 MILLIMETRE = np.float32(0.001)  # metres a count of the D435's Z16 stream, as librealsense has it
 
@@ -87,13 +89,20 @@ def encode_picture(rgb: npt.NDArray[np.uint8], time: int, frame_id: str) -> Comp
     )
 
 
+def encode_preview(rgb: npt.NDArray[np.uint8], time: int, frame_id: str) -> CompressedImage:
+    """(H, W, 3) uint8 RGB -> a small JPEG, to be looked at only."""
+    scale = min(1.0, PREVIEW_WIDTH / rgb.shape[1])
+    small = cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, PREVIEW_QUALITY]
+    done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), quality)
+    assert done
+    return CompressedImage(
+        timestamp=timestamp(time), frame_id=frame_id, format="jpeg", data=jpeg.tobytes()
+    )
+
+
 def decode_picture(message: CompressedImage) -> npt.NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB. Raises LogError."""
-    return np.asarray(cv2.cvtColor(decode_bgr(message), cv2.COLOR_BGR2RGB), np.uint8)
-
-
-def decode_bgr(message: CompressedImage) -> npt.NDArray[np.uint8]:
-    """(H, W, 3) uint8, as OpenCV has it. Raises LogError."""
+    """(H, W, 3) uint8 RGB of a PNG. Raises LogError."""
     png = message.data
     width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))  # IHDR
     if not png.startswith(b"\x89PNG") or not 0 < width <= MAX_SIDE or not 0 < height <= MAX_SIDE:
@@ -104,7 +113,7 @@ def decode_bgr(message: CompressedImage) -> npt.NDArray[np.uint8]:
         raise LogError(f"a PNG image that cannot be decoded: {error}") from error
     if bgr is None:
         raise LogError("a PNG image that cannot be decoded")
-    return np.asarray(bgr, np.uint8)
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def encode_depth(depth: npt.NDArray[np.float32], time: int) -> RawImage:

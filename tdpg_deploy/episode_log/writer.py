@@ -247,8 +247,9 @@ def _look(
         channels.TRANSFORMS: messages.encode_transform(
             channels.BASE, channels.CAMERA, X_base_camera, time
         ),
-        channels.COLOR: messages.encode_picture(frame.color, time, channels.CAMERA),
+        channels.PREVIEW: messages.encode_preview(frame.color, time, channels.CAMERA),
         channels.HEIGHTMAP_COLOR: messages.encode_picture(seen, time, ""),
+        channels.COLOR: messages.encode_picture(frame.color, time, channels.CAMERA),
         channels.CALIBRATION: messages.encode_calibration(frame.intrinsics, time),
         channels.DEPTH: messages.encode_depth(frame.depth, time),
         channels.HEIGHTMAP: messages.encode_heightmap(heightmap, time),

@@ -111,6 +111,8 @@ class SimArm:
             if stop_force is not None:
                 pressed = pressed + 1 if self._pressed(stop_force) else 0
             if pressed == PRESSED_STEPS:
+                if on_state is not None:
+                    on_state(self.state())  # the one that tells of the force
                 self._back_off(rows[max(number - PRESSED_STEPS, 0)])
                 return MotionResult(end=MotionEnd.CONTACT, state=self.state())
             if on_state is not None and number % REPORT_EVERY == 0:

@@ -1,4 +1,4 @@
-"""What carries the gripper: the UR5, or for training a gantry of rails that is cheaper to simulate.
+"""What carries the gripper: the arm, or for training a gantry of rails that is cheaper to simulate.
 
 A carrier is geometry only. It turns motions of the arm into rows of its own joints'
 positions, (n, k) in m and rad, one row a time step; `Robot` drives them.
@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from tdpg_deploy.errors import ArmError
 from tdpg_deploy.geometry import Array, Transform
-from tdpg_deploy.kinematics import forward_batch, inverse_batch
+from tdpg_deploy.kinematics import DhParameters, forward_batch, inverse_batch
 from tdpg_deploy.sim.links import (
     GANTRY_HEIGHT,
-    X_WRIST3_FLANGE,
     Link,
+    arm_links,
     gantry_links,
-    ur5_links,
+    wrist_flange,
 )
 
 MAX_JOINT_STEP = 0.05  # rad a time step, 12 rad/s: more means that the way meets a singularity
@@ -45,18 +45,19 @@ class Carrier(Protocol):
         """Rows (n, k) straight in space; share: (n,) of the way."""
 
 
-class Ur5:
+class SerialArm:
     """The arm itself: its joints are the arm's joints."""
 
-    def __init__(self) -> None:
-        self.links = ur5_links()
-        self.X_wrist_flange = X_WRIST3_FLANGE
+    def __init__(self, dh: DhParameters) -> None:
+        self._dh = dh
+        self.links = arm_links(dh)
+        self.X_wrist_flange = wrist_flange(dh)
 
     def at(self, q: Array) -> Array:
         return q
 
     def flange(self, joints: Array) -> Transform:
-        return Transform.from_matrix(forward_batch(joints))
+        return Transform.from_matrix(forward_batch(self._dh, joints))
 
     def arm_joints(self, joints: Array, near: Array) -> Array:
         return joints
@@ -66,18 +67,19 @@ class Ur5:
         return rows
 
     def along_line(self, start: Array, X_base_flange: Transform, share: Array) -> Array:
-        return follow(line(self.flange(start), X_base_flange, share), start)
+        return follow(self._dh, line(self.flange(start), X_base_flange, share), start)
 
 
 class Gantry:
     """Rails along x and y, a turn about z, a rail along z: the tool always points down."""
 
-    def __init__(self) -> None:
+    def __init__(self, dh: DhParameters) -> None:
+        self._dh = dh  # of the arm that it stands for
         self.links = gantry_links()
         self.X_wrist_flange = Transform.identity()
 
     def at(self, q: Array) -> Array:
-        return self._joints(forward_batch(q), 0.0)
+        return self._joints(forward_batch(self._dh, q), 0.0)
 
     def flange(self, joints: Array) -> Transform:
         x, y, yaw, down = joints
@@ -86,11 +88,11 @@ class Gantry:
 
     def arm_joints(self, joints: Array, near: Array) -> Array:
         pose = self.flange(joints).as_matrix()
-        q: Array = follow(pose[None], near, max_step=np.inf)[0]
+        q: Array = follow(self._dh, pose[None], near, max_step=np.inf)[0]
         return q
 
     def along_joints(self, start: Array, q: Array, share: Array) -> Array:
-        return self._straight(start, forward_batch(q), share)
+        return self._straight(start, forward_batch(self._dh, q), share)
 
     def along_line(self, start: Array, X_base_flange: Transform, share: Array) -> Array:
         return self._straight(start, X_base_flange.as_matrix(), share)
@@ -104,7 +106,7 @@ class Gantry:
             tilt = np.degrees(np.arccos(np.clip(-X_base_flange[2, 2], -1, 1)))
             raise ArmError(
                 f"the gantry holds the tool upright, this pose tilts it by {tilt:.1f} deg: "
-                'set simulation.carrier = "ur5"'
+                'set simulation.carrier = "arm"'
             )
         x, y, z = X_base_flange[:3, 3]
         yaw = np.arctan2(X_base_flange[1, 0], X_base_flange[0, 0])
@@ -125,14 +127,16 @@ def line(X_base_start: Transform, X_base_end: Transform, share: Array) -> Array:
     return poses
 
 
-def follow(X_base_flange: Array, start: Array, *, max_step: float = MAX_JOINT_STEP) -> Array:
+def follow(
+    dh: DhParameters, X_base_flange: Array, start: Array, *, max_step: float = MAX_JOINT_STEP
+) -> Array:
     """The arm's joints (n, 6) along poses (n, 4, 4), without a change of branch, from `start`.
 
     Raises ArmError where the way leaves the arm's reach or a joint would jump.
     """
     if not len(X_base_flange):
         return np.empty((0, 6))
-    branches = inverse_batch(X_base_flange)  # (n, 8, 6), nan out of reach
+    branches = inverse_batch(dh, X_base_flange)  # (n, 8, 6), nan out of reach
     moved = branches[0] - start
     moved -= 2 * np.pi * np.round(moved / (2 * np.pi))
     farthest = np.abs(moved).max(axis=-1)
@@ -142,7 +146,7 @@ def follow(X_base_flange: Array, start: Array, *, max_step: float = MAX_JOINT_ST
         x, y, z = X_base_flange[lost.argmax(), :3, 3]
         raise ArmError(
             f"the flange cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m in base on this way: "
-            "plan a pose within the UR5's reach"
+            f"plan a pose within the {dh.name}'s reach"
         )
     rows: Array = np.unwrap(np.concatenate([start[None], way]), axis=0)
     jump = np.abs(np.diff(rows, axis=0)).max(axis=-1)

@@ -1,4 +1,4 @@
-"""The robot as a tree of links: the UR5, the gantry that replaces it for training, the 2F-85.
+"""The robot as a tree of links: a UR arm, the gantry that replaces it for training, the 2F-85.
 
 Data only; `robot.py` makes a multibody of it. The frame of a link is at its joint.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tdpg_deploy.geometry import Array, Transform
-from tdpg_deploy.kinematics import A2, A3, D1, D4, D5, D6
+from tdpg_deploy.kinematics import UR5, UR5E, DhParameters
 from tdpg_deploy.sim.bodies import box, cylinder
 from tdpg_deploy.sim.pieces import ConvexPiece
 
@@ -45,28 +45,36 @@ class Link:
     rgb: tuple[int, int, int] = UR_GREY
 
 
-# --- UR5 --------------------------------------------------------------------------------------
-
-# Denavit-Hartenberg: d, a, alpha of each joint.
-_DH = (
-    (D1, 0.0, np.pi / 2),
-    (0.0, A2, 0.0),
-    (0.0, A3, 0.0),
-    (D4, 0.0, np.pi / 2),
-    (D5, 0.0, -np.pi / 2),
-    (D6, 0.0, 0.0),
-)
-_UR5_MASSES = (3.7, 8.393, 2.275, 1.219, 1.219, 0.1879)  # kg, same source as the DH parameters
-_UR5_TORQUES = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)  # N m, UR5 data sheet
+# --- UR arms ----------------------------------------------------------------------------------
 
 
-def _beyond_joint(i: int) -> Transform:
+@dataclass(frozen=True, kw_only=True)
+class _Build:
+    """masses: kg of each link. upper_arm, forearm: m by which they run beside the plane of their
+    joints, along those joints' axes."""
+
+    masses: tuple[float, float, float, float, float, float]
+    upper_arm: float
+    forearm: float
+
+
+# Masses from the source of the DH parameters; offsets from ros-industrial's ur_description.
+_BUILDS = {
+    UR5: _Build(masses=(3.7, 8.393, 2.275, 1.219, 1.219, 0.1879), upper_arm=0.136, forearm=0.016),
+    UR5E: _Build(masses=(3.761, 8.058, 2.846, 1.37, 1.3, 0.365), upper_arm=0.138, forearm=0.007),
+}
+_TORQUES = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)  # N m, same source
+
+
+def _beyond_joint(dh: DhParameters, i: int) -> Transform:
     """Joint i + 1 as joint i carries it: the Denavit-Hartenberg step after the turn about z."""
-    d, a, alpha = _DH[i]
+    d, a, alpha = dh.joints[i]
     return Transform(Rotation.from_euler("x", alpha), np.array([a, 0.0, d]))
 
 
-X_WRIST3_FLANGE = _beyond_joint(5)
+def wrist_flange(dh: DhParameters) -> Transform:
+    """X_wrist3_flange."""
+    return _beyond_joint(dh, 5)
 
 
 def _along_x(radius: float, start: float, end: float, z: float) -> Array:
@@ -74,36 +82,38 @@ def _along_x(radius: float, start: float, end: float, z: float) -> Array:
     return cylinder(radius, start, end)[:, [2, 1, 0]] + (0, 0, z)
 
 
-def _ur5_pieces() -> tuple[tuple[ConvexPiece, ...], ...]:
-    """Round limbs of about the UR5's thickness, each in the frame of its joint."""
+def _limbs(dh: DhParameters) -> tuple[tuple[ConvexPiece, ...], ...]:
+    """Round limbs of about the arm's thickness, each in the frame of its joint."""
+    upper_arm, forearm = _BUILDS[dh].upper_arm, _BUILDS[dh].forearm
+    beside = upper_arm + 0.054  # outer side of the joint housings
     hulls = (
-        [cylinder(0.060, 0.020, 0.150)],
-        [cylinder(0.058, 0.055, 0.190), _along_x(0.054, -0.425, 0.0, 0.136)],
-        [cylinder(0.056, -0.045, 0.190), _along_x(0.043, -0.392, 0.0, 0.016)],
-        [cylinder(0.042, -0.030, 0.155)],
-        [cylinder(0.042, -0.050, 0.140)],
-        [cylinder(0.040, -0.045, 0.0823)],
+        [cylinder(0.060, 0.020, dh.d1 + 0.061)],
+        [cylinder(0.058, 0.055, beside), _along_x(0.054, dh.a2, 0.0, upper_arm)],
+        [cylinder(0.056, forearm - 0.061, beside), _along_x(0.043, dh.a3, 0.0, forearm)],
+        [cylinder(0.042, forearm - 0.046, dh.d4 + 0.046)],
+        [cylinder(0.042, -0.050, dh.d5 + 0.045)],
+        [cylinder(0.040, -0.045, dh.d6)],
     )
     return tuple(tuple(ConvexPiece.from_vertices(hull) for hull in link) for link in hulls)
 
 
 @cache
-def ur5_links() -> tuple[Link, ...]:
+def arm_links(dh: DhParameters) -> tuple[Link, ...]:
     """Six turning links, parent before child, in UR's `base` frame."""
-    before = (Transform.identity(), *(_beyond_joint(i) for i in range(5)))
+    before = (Transform.identity(), *(_beyond_joint(dh, i) for i in range(5)))
     names = ("shoulder", "upper arm", "forearm", "wrist 1", "wrist 2", "wrist 3")
     return tuple(
         Link(
             name=name,
             parent=index - 1,
             joint=Joint.TURNS,
-            mass=_UR5_MASSES[index],
+            mass=_BUILDS[dh].masses[index],
             X_parent_link=before[index],
-            force=_UR5_TORQUES[index],
+            force=_TORQUES[index],
             pieces=pieces,
             rgb=UR_BLUE if index % 2 else UR_GREY,
         )
-        for index, (name, pieces) in enumerate(zip(names, _ur5_pieces(), strict=True))
+        for index, (name, pieces) in enumerate(zip(names, _limbs(dh), strict=True))
     )
 
 

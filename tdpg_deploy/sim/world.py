@@ -17,11 +17,12 @@ from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.sim import furniture, physics
 from tdpg_deploy.sim.bodies import Shape
-from tdpg_deploy.sim.carriers import Carrier, Gantry, Ur5
+from tdpg_deploy.sim.carriers import Carrier, Gantry, SerialArm
 from tdpg_deploy.sim.links import MAX_WIDTH
 from tdpg_deploy.sim.pieces import VisiblePiece
 from tdpg_deploy.sim.robot import Robot
 from tdpg_deploy.sim.scenes import Scene, SceneObject, Spawner
+from tdpg_deploy.sim.tags import lay_tags
 from tdpg_deploy.workspace import workspace_of
 
 LOOK_EVERY = 16  # steps between looks at what may be put to sleep
@@ -81,7 +82,9 @@ class World:
         self._furniture = furniture.furnish(config, self.workspace)
         for item in self._furniture:
             physics.add_static(self.client, item.piece, friction=physics.TABLE_FRICTION)
-        carrier: Carrier = Gantry() if config.simulation.carrier == "gantry" else Ur5()
+        self._tags = lay_tags(self.workspace) if config.simulation.table_tags else []
+        dh, rails = config.arm.dh, config.simulation.carrier == "gantry"
+        carrier: Carrier = Gantry(dh) if rails else SerialArm(dh)
         self.robot = Robot(self.client, carrier, np.array(config.arm.home), MAX_WIDTH)
         self.bodies = [
             physics.add_object(
@@ -152,7 +155,7 @@ class World:
             for state in self.objects()
             for piece in state.shape.pieces
         ]
-        return [*self._furniture, *self.robot.visible(), *objects]
+        return [*self._furniture, *self._tags, *self.robot.visible(), *objects]
 
     # --- rest ---------------------------------------------------------------------------------
 

@@ -6,10 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration.drift import TagCorners, check_still, compare, find_tags
-from calibration.printing import TAGS
 from calibration.synthetic import D435_720P
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.markers import table_tags
 
 SIDE = 0.05  # m
 NOISE = 0.05  # px, of a sharp tag
@@ -74,9 +74,8 @@ def test_a_move_stops_the_run() -> None:
 
 
 def test_tags_are_found_in_a_picture() -> None:
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
     picture = np.full((300, 300), 255, np.uint8)
-    picture[100:200, 60:160] = cv2.aruco.generateImageMarker(dictionary, 7, 100)
+    picture[100:200, 60:160] = cv2.aruco.generateImageMarker(table_tags(), 7, 100)
     found = find_tags(picture).corners
     assert list(found) == [7]
     np.testing.assert_allclose(found[7][0], [59.5, 99.5], atol=1.0)

@@ -15,9 +15,9 @@ from calibration.projection import Estimate
 from calibration.synthetic import D435_720P, make_truth, observe
 from calibration.target import DEFAULT_TARGET
 from calibration.views import Mounting, View
-from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.kinematics import UR5, forward
 
 CORNERS = DEFAULT_TARGET.corners()
 CELL = load_cell(DEFAULT_CELL)
@@ -28,24 +28,24 @@ def test_rods_hang_together_and_end_at_the_gripper() -> None:
     """Against the closed form: DH distances between joints, and the flange."""
     rng = np.random.default_rng(0)
     for q in rng.uniform(-np.pi, np.pi, (50, 6)):
-        ends = rods(q, TOOL)
+        ends = rods(UR5, q, TOOL)
         np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1], atol=1e-9)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         assert lengths[[0, 2, 4]] == pytest.approx([0.089159, 0.425, 0.39225])
-        assert lengths[6:8] == pytest.approx([kinematics.D5, kinematics.D6])
-        flange = kinematics.forward(q, Transform.identity())
+        assert lengths[6:8] == pytest.approx([UR5.d5, UR5.d6])
+        flange = forward(UR5, q, Transform.identity())
         np.testing.assert_allclose(ends[8, 0], flange.translation, atol=1e-9)
 
 
 def test_what_stands_behind_the_forearm_is_hidden() -> None:
     q = np.array(CELL.arm.home)
-    forearm = rods(q, TOOL)[4].mean(axis=0)
+    forearm = rods(UR5, q, TOOL)[4].mean(axis=0)
     eye = forearm + np.array([0.5, 0.0, 0.3])
     behind = forearm - 0.4 * (eye - forearm)
     around = behind + 0.01 * np.random.default_rng(0).normal(size=(20, 3))
-    assert hides(q, TOOL, eye, around)
-    assert not hides(q, TOOL, eye, around + np.array([0.0, 1.5, 0.0]))
-    assert not hides(q, TOOL, eye, (eye + forearm) / 2 + 0.01 * np.eye(3))  # in front of it
+    assert hides(UR5, q, TOOL, eye, around)
+    assert not hides(UR5, q, TOOL, eye, around + np.array([0.0, 1.5, 0.0]))
+    assert not hides(UR5, q, TOOL, eye, (eye + forearm) / 2 + 0.01 * np.eye(3))  # in front of it
 
 
 @pytest.mark.parametrize("mounting", Mounting)

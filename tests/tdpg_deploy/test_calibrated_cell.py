@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import re
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from calibration.drift import find_tags
 from tdpg_deploy.calibration_file import Calibration, save_calibration
-from tdpg_deploy.cell import Cell, open_cell
+from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell, parse_cell
 from tdpg_deploy.cli.run import main
 from tdpg_deploy.cli.session import describe_calibration
 from tdpg_deploy.emulators.cell_file import format_cell
 from tdpg_deploy.episode_log.reader import read_episode
-from tdpg_deploy.errors import CalibrationError, ConfigError
+from tdpg_deploy.errors import ConfigError
 from tdpg_deploy.geometry import Transform
-from tdpg_deploy.hal import RgbdFrame
-from tdpg_deploy.session import check_calibration
 from tdpg_deploy.sim.camera import COLOR_1280
 
 EMPTY_SCENE = 'version = 1\nframe = "base"\nlength = "m"\nquaternion = "xyzw"\n'
@@ -73,6 +70,12 @@ def calibration(**changes: object) -> Calibration:
         "depth": {"a": 1.01, "b": 0.0, "offset": 0.007, "rms": 1e-3, "fill": 1.0, "left": 0.0},
     }
     return Calibration.model_validate({**data, **changes})
+
+
+def true_calibration(**changes: object) -> Calibration:
+    """Of the mock cell's camera as it is."""
+    camera = {**calibration().camera.model_dump(), "fx": COLOR_1280.fx, "refined": False}
+    return calibration(depth=None, camera=camera, **changes)
 
 
 def cell_file(directory: Path, made: Calibration) -> Path:
@@ -176,7 +179,7 @@ def test_what_does_not_apply_stops_a_run_before_anything(
 def test_what_applies_is_used_and_logged(tmp_path: Path) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(EMPTY_SCENE)
-    made = calibration(depth=None, camera={**calibration().camera.model_dump(), "refined": False})
+    made = true_calibration()
     path = cell_file(tmp_path, made)
     arguments = ["--config", str(path), "--scene", str(scene), "--out", str(tmp_path)]
     assert main(["--policy", "random", *arguments]) == 0
@@ -184,39 +187,44 @@ def test_what_applies_is_used_and_logged(tmp_path: Path) -> None:
     assert read_episode(log).about.cell.camera.calibration == made
 
 
-class Tagged:
-    """A cell's camera, with four tags printed on the table's picture, moved by some pixels."""
-
-    def __init__(self, cell: Cell) -> None:
-        self._cell, self._camera, self.shift = cell, cell.camera, (0.0, 0.0)
-        self.connect, self.close = cell.camera.connect, cell.camera.close
-        self.intrinsics = cell.camera.intrinsics
-
-    def capture(self, *, deadline: float = 2.0) -> RgbdFrame:
-        frame = self._camera.capture(deadline=deadline)
-        tags = np.full(frame.color.shape[:2], 128, np.uint8)
-        for number, (u, v) in enumerate([(300, 150), (900, 150), (300, 500), (900, 500)]):
-            dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-            tags[v : v + 100, u : u + 100] = 255
-            tag = cv2.aruco.generateImageMarker(dictionary, number, 80)
-            tags[v + 10 : v + 90, u + 10 : u + 90] = tag
-        moved = np.array([[1, 0, self.shift[0]], [0, 1, self.shift[1]]])
-        picture = cv2.warpAffine(tags, moved, tags.shape[::-1], borderValue=(128,))
-        return replace(frame, color=np.repeat(np.asarray(picture, np.uint8)[..., None], 3, axis=2))
+def table_tags() -> dict[int, list[list[float]]]:
+    """Where the mock cell's camera sees the four tags that a cell file may ask for."""
+    tagged = MOCK.simulation.model_copy(update={"table_tags": True})
+    with open_cell(MOCK.model_copy(update={"simulation": tagged})) as cell:
+        found = find_tags(cell.camera.capture().color).corners
+    return {number: corners.tolist() for number, corners in found.items()}
 
 
-def test_a_moved_camera_stops_a_run() -> None:
-    with open_cell(configured(calibration())) as cell:
-        camera = Tagged(cell)
-        corners = find_tags(camera.capture().color).corners
-        assert sorted(corners) == [0, 1, 2, 3]
-    tags = {number: found.tolist() for number, found in corners.items()}
-    with open_cell(configured(calibration(tags=tags))) as cell:
-        cell.camera = camera = Tagged(cell)
-        check_calibration(cell)
-        camera.shift = (0.6, 0.5)
-        with pytest.raises(CalibrationError, match=r"have moved by 0\.\d+ px"):
-            check_calibration(cell)
+def run_tagged(directory: Path, made: Calibration, simulation: str) -> int:
+    """tdpg-run on an empty mock table with tags; simulation: more of that section."""
+    scene = directory / "scene.toml"
+    scene.write_text(EMPTY_SCENE)
+    path = cell_file(directory, made)
+    path.write_text(f"{path.read_text()}\n[simulation]\ntable_tags = true\n{simulation}")
+    out = ["--out", str(directory)]
+    return main(["--policy", "random", "--config", str(path), "--scene", str(scene), *out])
+
+
+def test_a_camera_that_stands_still_runs(tmp_path: Path) -> None:
+    tags = table_tags()
+    assert sorted(tags) == [0, 1, 2, 3]
+    assert run_tagged(tmp_path, true_calibration(tags=tags), "") == 0
+    assert list(tmp_path.glob("*.mcap"))
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_camera_that_was_moved_stops_a_run_before_anything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], axis: int
+) -> None:
+    """By 2 mm along an axis of base; only the simulated world knows."""
+    pose = MOCK.camera.X_base_camera
+    position = np.array(pose.position) + 2e-3 * np.eye(3)[axis]
+    moved = f"position = {position.tolist()}, quaternion = {list(pose.quaternion)}"
+    made = true_calibration(tags=table_tags())
+    assert run_tagged(tmp_path, made, f"X_base_camera = {{ {moved} }}") == 2
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert re.search(r"table tags have moved by [12]\.\d+ px since the calibration", said)
+    assert not list(tmp_path.glob("*.mcap*"))  # no episode was begun
 
 
 def test_consent_says_how_the_pose_is_known() -> None:

@@ -26,13 +26,14 @@ from tdpg_deploy.sim.world import World
 CORNER = (0.68, 0.18, -0.12)  # m: out of the arm's way
 
 
-def carried_by(carrier: str) -> CellConfig:
+def cell_of(model: str, carrier: str) -> CellConfig:
     config = load_cell(DEFAULT_CELL)
+    arm = config.arm.model_copy(update={"model": model})
     simulation = config.simulation.model_copy(update={"carrier": carrier})
-    return config.model_copy(update={"simulation": simulation})
+    return config.model_copy(update={"arm": arm, "simulation": simulation})
 
 
-@pytest.fixture(params=["ur5", "gantry"])
+@pytest.fixture(params=["ur5 arm", "ur5e arm", "ur5 gantry"])
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
     cube = SceneObject(
         shape=SHAPES["cube"],
@@ -40,7 +41,7 @@ def world(request: pytest.FixtureRequest) -> Iterator[World]:
         rgb=(200, 60, 60),
         goal=False,
     )
-    world = World(carried_by(request.param), Scene(objects=(cube,)), seed=0)
+    world = World(cell_of(*request.param.split()), Scene(objects=(cube,)), seed=0)
     yield world
     world.close()
 

@@ -1,4 +1,4 @@
-"""Kinematics against the closed form of somebody else, ur_analytic_ik."""
+"""Kinematics of both arms against the closed form of somebody else, ur_analytic_ik."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from ur_analytic_ik import ur5
+from ur_analytic_ik import ur5, ur5e
 
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.kinematics import (
+    UR5,
+    UR5E,
+    DhParameters,
     branch_of,
     elbow_height,
     forward,
@@ -24,43 +27,54 @@ TWO_TURNS = (-2 * np.pi, 2 * np.pi)
 
 angles = st.floats(-3.1, 3.1)
 joints = st.tuples(angles, angles, angles, angles, angles, angles).map(np.array)
+arms = st.sampled_from([UR5, UR5E])
+REFERENCES = {UR5: ur5, UR5E: ur5e}
 
 
 def random_joints(n: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, 6))
 
 
-def test_forward_agrees_with_reference() -> None:
+@pytest.fixture(params=[UR5, UR5E], ids=["ur5", "ur5e"])
+def dh(request: pytest.FixtureRequest) -> DhParameters:
+    arm: DhParameters = request.param
+    return arm
+
+
+def test_forward_agrees_with_reference(dh: DhParameters) -> None:
     q = random_joints(300)
-    reference = np.array([ur5.forward_kinematics(*row) for row in q])
-    np.testing.assert_allclose(forward_batch(q), reference, atol=1e-12)
+    reference = np.array([REFERENCES[dh].forward_kinematics(*row) for row in q])
+    np.testing.assert_allclose(forward_batch(dh, q), reference, atol=1e-12)
 
 
-def test_inverse_finds_as_many_branches_as_the_reference_and_all_lead_back() -> None:
-    poses = forward_batch(random_joints(300, seed=1))
-    for pose, branches in zip(poses, inverse_batch(poses), strict=True):
+def test_inverse_finds_the_branches_of_the_reference_and_all_lead_back(dh: DhParameters) -> None:
+    poses = forward_batch(dh, random_joints(300, seed=1))
+    for pose, branches in zip(poses, inverse_batch(dh, poses), strict=True):
         reached = branches[np.isfinite(branches).all(axis=1)]
-        assert len(reached) == len(ur5.inverse_kinematics(np.ascontiguousarray(pose)))
+        theirs = np.array(REFERENCES[dh].inverse_kinematics(np.ascontiguousarray(pose)))
+        apart = np.abs(np.angle(np.exp(1j * (reached[:, None] - theirs)))).max(axis=-1)
+        assert (apart.min(axis=0) < 1e-6).all()
+        assert (apart.min(axis=1) < 1e-6).all()
         np.testing.assert_allclose(
-            forward_batch(reached), np.broadcast_to(pose, (len(reached), 4, 4)), atol=1e-9
+            forward_batch(dh, reached), np.broadcast_to(pose, (len(reached), 4, 4)), atol=1e-9
         )
 
 
-@given(joints)
-def test_some_branch_is_where_the_arm_was(q: Array) -> None:
+@given(arms, joints)
+def test_some_branch_is_where_the_arm_was(dh: DhParameters, q: Array) -> None:
     assume(abs(np.sin(q[4])) > 1e-3)  # else wrist 3 is free, and 0 may be out of reach
-    X_base_tool = forward(q, X_FLANGE_TOOL)
-    found = nearest(inverse(X_base_tool, X_FLANGE_TOOL), q, TWO_TURNS)
+    X_base_tool = forward(dh, q, X_FLANGE_TOOL)
+    found = nearest(inverse(dh, X_base_tool, X_FLANGE_TOOL), q, TWO_TURNS)
     assert found is not None
-    distance, angle = forward(found, X_FLANGE_TOOL).distance(X_base_tool)
+    distance, angle = forward(dh, found, X_FLANGE_TOOL).distance(X_base_tool)
     assert distance < 1e-6
     assert angle < 1e-6
 
 
 @pytest.mark.parametrize("base", [0.0, 90.0, 180.0])
-def test_wrist_three_at_zero_keeps_all_branches(base: float) -> None:
+def test_wrist_three_at_zero_keeps_all_branches(dh: DhParameters, base: float) -> None:
     q = np.deg2rad([base, -110.0, 100.0, -80.0, -90.0, 0.0])
-    branches = inverse(forward(q, X_FLANGE_TOOL), X_FLANGE_TOOL)
+    branches = inverse(dh, forward(dh, q, X_FLANGE_TOOL), X_FLANGE_TOOL)
     assert len(branches) == 8
     found = nearest(branches, q, TWO_TURNS)
     assert found is not None
@@ -68,9 +82,9 @@ def test_wrist_three_at_zero_keeps_all_branches(base: float) -> None:
     assert np.allclose(np.sort(np.abs(branches).max(axis=1)) <= np.pi + 1e-9, True)
 
 
-def test_out_of_reach_has_no_branch() -> None:
+def test_out_of_reach_has_no_branch(dh: DhParameters) -> None:
     X_base_tool = Transform.from_quaternion((1.5, 0.0, 0.3), (1, 0, 0, 0))
-    assert inverse(X_base_tool, X_FLANGE_TOOL).shape == (0, 6)
+    assert inverse(dh, X_base_tool, X_FLANGE_TOOL).shape == (0, 6)
 
 
 def test_nearest_unwinds_whole_turns_within_the_range() -> None:
@@ -86,17 +100,18 @@ def test_nearest_unwinds_whole_turns_within_the_range() -> None:
     assert nearest(np.full((1, 6), np.nan), near, TWO_TURNS) is None
 
 
-def test_branch_of_tells_the_branches_apart() -> None:
+def test_branch_of_tells_the_branches_apart(dh: DhParameters) -> None:
     q = np.deg2rad([170.0, -100.0, 110.0, -100.0, -90.0, 20.0])
-    branches = inverse_batch(forward_batch(q))
-    assert [branch_of(branch) for branch in branches] == list(range(8))
+    branches = inverse_batch(dh, forward_batch(dh, q))
+    assert [branch_of(dh, branch) for branch in branches] == list(range(8))
 
 
-def test_elbow_height_is_that_of_the_third_frame() -> None:
+@pytest.mark.parametrize(("arm", "shoulder"), [(UR5, 0.089159), (UR5E, 0.1625)])
+def test_elbow_height_is_that_of_the_third_frame(arm: DhParameters, shoulder: float) -> None:
     """The elbow's axis is where wrist and forearm would be if they had no length: compare with
     the height that turning the elbow leaves alone."""
     q = np.deg2rad([20.0, -70.0, 40.0, 10.0, 50.0, 0.0])
     for lift in (-120.0, -90.0, -10.0):
         q[1] = np.deg2rad(lift)
-        straight_up = 0.089159 + 0.425 * np.cos(np.deg2rad(lift + 90.0))
-        assert elbow_height(q) == pytest.approx(straight_up)
+        straight_up = shoulder + 0.425 * np.cos(np.deg2rad(lift + 90.0))
+        assert elbow_height(arm, q) == pytest.approx(straight_up)

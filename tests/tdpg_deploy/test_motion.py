@@ -133,7 +133,7 @@ def test_above_is_straight_over_the_grasp_with_the_closing_direction_asked_for(
     x: float, y: float, yaw: float
 ) -> None:
     plan = plan_primitive(Grasp(x=x, y=y, z=TABLE_Z + 0.05, yaw=yaw), table(), CONFIG)
-    above = kinematics.forward(joints(plan, "above").q, X_FLANGE_TOOL)
+    above = kinematics.forward(kinematics.UR5, joints(plan, "above").q, X_FLANGE_TOOL)
     travel_z = TABLE_Z + CONFIG.limits.travel_height
     np.testing.assert_allclose(above.translation, [x, y, travel_z], atol=1e-9)
     tool = above.rotation.as_matrix()
@@ -141,7 +141,9 @@ def test_above_is_straight_over_the_grasp_with_the_closing_direction_asked_for(
     closing = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     assert abs(tool[:, 0] @ closing) == pytest.approx(1.0)
     assert linear(plan, "descend").X_base_tool.distance(above)[1] < 1e-6
-    bin_ = kinematics.forward(joints(plan, "over the bin").q, X_FLANGE_TOOL).translation
+    bin_ = kinematics.forward(
+        kinematics.UR5, joints(plan, "over the bin").q, X_FLANGE_TOOL
+    ).translation
     np.testing.assert_allclose(bin_, CONFIG.bin.position, atol=1e-9)
 
 

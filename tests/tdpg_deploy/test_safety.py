@@ -25,7 +25,8 @@ HOME: Array = np.array(CONFIG.arm.home)
 
 def joints_at(X_base_tool: Transform) -> Array:
     flange = (X_base_tool @ X_FLANGE_TOOL.inverse()).as_matrix()
-    branches = kinematics.inverse_batch(flange)[[kinematics.branch_of(HOME)]]
+    dh = CONFIG.arm.dh
+    branches = kinematics.inverse_batch(dh, flange)[[kinematics.branch_of(dh, HOME)]]
     q = kinematics.nearest(branches, HOME, LIMITS.joint_range)
     assert q is not None
     return q

@@ -37,6 +37,8 @@ _REFUSALS = {
         "outside limits.joint_range",
     ),
 }
+# The steps of motion.py's descent: the first ends well above all that the plan knows of.
+_DESCENT = {"lower": ", above what was seen there", "descend": ""}
 
 
 def refusal_cause(reason: str) -> Cause:
@@ -126,8 +128,8 @@ def _stopped_by_force(step: Step, intent: Intent, outcome: Outcome) -> Finding |
     ended = next((motion for motion in motions if motion.name == contact), None)
     limit = "" if ended is None else f"more than {ended.stop_force} N"
     evidence = f'{limit or "force"} ended "{contact}"'
-    if contact == "descend":
-        evidence += _how_far(step, ended)
+    if contact in _DESCENT:
+        evidence += _DESCENT[contact] + _how_far(step, ended)
         return Finding(cause=Cause.FINGER_ON_OBJECT, evidence=evidence)
     return Finding(cause=Cause.COLLISION, evidence=evidence)
 
@@ -151,11 +153,13 @@ def _grasp(outcome: GraspOutcome) -> Finding | None:
     if outcome.held_by_width is Verdict.YES and outcome.width_at_release < EMPTY_BELOW:
         evidence = f"the pads stood {lift} apart after the lift and {release} over the bin"
         return Finding(cause=Cause.SLIP, evidence=evidence)
-    if outcome.held_by_width is Verdict.NO and outcome.gone_from_map is not Verdict.YES:
-        if outcome.width_after_lift < HELD_ABOVE:
-            evidence = f"the pads met on nothing: {close} apart when closed, {lift} after the lift"
+    if outcome.held_by_width is Verdict.NO and outcome.width_after_lift < HELD_ABOVE:
+        evidence = f"the pads met on nothing: {close} apart when closed, {lift} after the lift"
+        if outcome.gone_from_map is not Verdict.YES:
             return Finding(cause=Cause.MISSED_GRASP, evidence=evidence)
-        return None
+        if outcome.width_after_close < EMPTY_BELOW:  # it cannot have been lifted
+            evidence += "; what stood there was pushed aside"
+            return Finding(cause=Cause.MISSED_GRASP, evidence=evidence)
     if outcome.held_by_width is Verdict.UNKNOWN and outcome.gone_from_map is Verdict.NO:
         evidence = f"nothing left the map; the pads, {lift} apart after the lift, say nothing"
         return Finding(cause=Cause.MISSED_GRASP, evidence=evidence)

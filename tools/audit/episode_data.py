@@ -112,7 +112,7 @@ def _plan(plan: Plan, cell: CellConfig, workspace: Workspace) -> list[dict[str, 
             steps.append({"name": step.name, "width": number(1000 * step.width, 1)})
             continue
         pose = (
-            kinematics.forward(step.q, X_flange_tool)
+            kinematics.forward(cell.arm.dh, step.q, X_flange_tool)
             if isinstance(step, MoveJoints)
             else step.X_base_tool
         )

@@ -1,5 +1,4 @@
-"""The pictures of an episode's page: heightmaps and Q-maps as they are logged, the camera's
-pictures made small."""
+"""The pictures of an episode's page, as they are logged."""
 
 from __future__ import annotations
 
@@ -7,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from tdpg_deploy.episode_log import channels, documents, messages
@@ -15,10 +13,11 @@ from tdpg_deploy.episode_log.entries import LookDocument
 from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.errors import LogError
 
-CAMERA_WIDTH = 640  # pixels
-QUALITY = 82  # of JPEG
-
-_LOOKS = {channels.COLOR: "camera.jpg", channels.HEIGHTMAP_COLOR: "map.png"}
+_LOOKS = {
+    channels.PREVIEW: "camera.jpg",
+    channels.COLOR: "camera.jpg",
+    channels.HEIGHTMAP_COLOR: "map.png",
+}
 _Q_MAPS = {channels.Q_PUSH: "push.png", channels.Q_GRASP: "grasp.png"}
 
 
@@ -35,9 +34,9 @@ def write_images(episode: Episode, folder: Path) -> Images:
     """Of a damaged log, what can be read."""
     folder.mkdir(exist_ok=True)
     images = Images(looks={}, q_maps=[])
-    topics = {*_LOOKS, *_Q_MAPS, channels.LOOK, channels.DECISION}
     waiting: dict[str, bytes] = {}  # until the document that closes them
     with suppress(LogError):  # told by the record's evidence
+        topics = {*_LOOKS, *_Q_MAPS, channels.LOOK, channels.DECISION} - {_camera_unread(episode)}
         for topic, content in episode.raw(topics):
             if topic == channels.LOOK:
                 sequence = documents.decode(LookDocument, content).sequence
@@ -51,6 +50,14 @@ def write_images(episode: Episode, folder: Path) -> Images:
     return images
 
 
+def _camera_unread(episode: Episode) -> str:
+    """The first logs had no previews: those are made of the camera's own pictures, at three times
+    the cost of all else on the page."""
+    for _ in episode.raw({channels.PREVIEW}):
+        return channels.COLOR
+    return channels.PREVIEW
+
+
 def _write(
     folder: Path, prefix: str, waiting: dict[str, bytes], names: dict[str, str]
 ) -> dict[str, str]:
@@ -59,17 +66,9 @@ def _write(
         if topic not in waiting:
             continue
         message = messages.parse(CompressedImage, waiting.pop(topic))
+        if topic == channels.COLOR:
+            message = messages.encode_preview(messages.decode_picture(message), 0, "")
         file = f"{prefix}-{name}"
-        small = name.endswith(".jpg")
-        (folder / file).write_bytes(_small_jpeg(message) if small else message.data)
+        (folder / file).write_bytes(message.data)
         written[name.partition(".")[0]] = file
     return written
-
-
-def _small_jpeg(message: CompressedImage) -> bytes:
-    bgr = messages.decode_bgr(message)
-    height = round(CAMERA_WIDTH * bgr.shape[0] / bgr.shape[1])
-    small = cv2.resize(bgr, (CAMERA_WIDTH, max(height, 1)), interpolation=cv2.INTER_AREA)
-    done, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    assert done
-    return jpeg.tobytes()

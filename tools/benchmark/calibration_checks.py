@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from calibration.depth import DepthSamples, fit_depth
 from calibration.drift import compare, find_tags
-from calibration.printing import TAGS
 from calibration.synthetic import D435_720P
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.markers import TAG_SIDE, table_tags
 from tools.benchmark.measure import Measurement
 
 # A D435 off by 1 % in scale and 0.1 px of disparity, between these distances.
@@ -24,7 +24,7 @@ DEPTH_FOCAL, BASELINE, SUBPIXEL = 650.0, 0.05, 0.08  # px at 1280 x 720, m, px
 DEPTH_TRIALS, DEPTH_VIEWS, SQUARES, PIXELS_A_SQUARE = 200, 15, 27, 80
 
 STILL_FRAMES, MOVES_EACH = 1000, 10
-TAG, TAG_SIDE = 300, 0.05  # px of the drawing, m
+TAG = 300  # px of the drawing
 PLACES = ((-0.27, -0.17), (0.27, -0.17), (-0.27, 0.17), (0.27, 0.17))  # m from the middle
 X_CAMERA_TABLE = Transform(Rotation.from_euler("x", 20, degrees=True), np.array([0, 0, 0.76]))
 GREY_NOISE = 3.0  # grey levels
@@ -101,11 +101,10 @@ def draw(X_camera_table: Transform) -> npt.NDArray[np.float64]:
         cx=(lens.cx + 0.5) * OVERSAMPLED - 0.5,
         cy=(lens.cy + 0.5) * OVERSAMPLED - 0.5,
     )
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
     picture = np.full((fine.height, fine.width), 150, np.uint8)
     border = TAG // 8
     for number, (x, y) in enumerate(PLACES):
-        tag = cv2.aruco.generateImageMarker(dictionary, number, TAG)
+        tag = cv2.aruco.generateImageMarker(table_tags(), number, TAG)
         sheet = np.pad(np.where(tag > 0, 230, 25).astype(np.uint8), border, constant_values=230)
         to_metres = np.array(
             [

@@ -123,7 +123,9 @@ def _touch(config: CellConfig, robot: ControllerProcess, arm: UrArm, speed: floa
     above, below = (
         top_down(x, y, config.workspace.table_z + height, 0.0) for height in (0.03, -DEEP)
     )
-    q_above = kinematics.nearest(kinematics.inverse(above, X_flange_tool), home, (-6.28, 6.28))
+    q_above = kinematics.nearest(
+        kinematics.inverse(config.arm.dh, above, X_flange_tool), home, (-6.28, 6.28)
+    )
     assert q_above is not None
     peaks = []
     for _ in range(TOUCHES):

@@ -1,1 +1,1 @@
-"""A UR controller on loopback: RTDE, script and dashboard servers before a simulated UR5."""
+"""A UR controller on loopback: RTDE, script and dashboard servers before a simulated arm."""

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
+from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.emulators.ur_controller.controller import Controller
-from tdpg_deploy.emulators.ur_controller.modes import GENERATIONS, Generation
+from tdpg_deploy.emulators.ur_controller.modes import CONTROLLERS, Generation
 from tdpg_deploy.emulators.ur_controller.pendant import Pendant
 from tdpg_deploy.emulators.ur_controller.plant import KinematicPlant, Plant
 from tdpg_deploy.emulators.ur_controller.server import Server
@@ -26,7 +26,7 @@ from tdpg_deploy.emulators.ur_controller.server import Server
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="loopback address to serve on")
-    parser.add_argument("--generation", choices=GENERATIONS, default="cb3")
+    parser.add_argument("--model", choices=CONTROLLERS, help="of the arm, not the cell's")
     parser.add_argument("--version", help="controller software, as 3.15.8.106339")
     parser.add_argument("--pace", type=float, default=1.0, help="times real time")
     parser.add_argument("--cell", type=Path, default=DEFAULT_CELL, help="where home and table are")
@@ -35,18 +35,25 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _generation(arguments: argparse.Namespace) -> Generation:
-    line = GENERATIONS[arguments.generation]
-    if arguments.version is None:
+def _cell(arguments: argparse.Namespace) -> CellConfig:
+    cell = load_cell(arguments.cell)
+    if arguments.model is None:
+        return cell
+    return cell.model_copy(update={"arm": cell.arm.model_copy(update={"model": arguments.model})})
+
+
+def _generation(version: str | None, model: str) -> Generation:
+    line = CONTROLLERS[model]
+    if version is None:
         return line
-    major, minor, bugfix, build = map(int, arguments.version.split("."))
+    major, minor, bugfix, build = map(int, version.split("."))
     return Generation(version=(major, minor, bugfix, build), frequency=line.frequency)
 
 
-def _plant(arguments: argparse.Namespace) -> Plant:
-    cell = load_cell(arguments.cell)
-    if not arguments.physics:
-        return KinematicPlant(np.array(cell.arm.home), table_z=cell.workspace.table_z)
+def _plant(cell: CellConfig, *, physics: bool) -> Plant:
+    arm = cell.arm
+    if not physics:
+        return KinematicPlant(arm.dh, np.array(arm.home), table_z=cell.workspace.table_z)
     from tdpg_deploy.emulators.ur_controller.world_plant import WorldPlant
     from tdpg_deploy.sim.scenes import Scene
     from tdpg_deploy.sim.world import World
@@ -57,7 +64,10 @@ def _plant(arguments: argparse.Namespace) -> Plant:
 
 
 async def _serve(arguments: argparse.Namespace) -> None:
-    controller = Controller(_plant(arguments), _generation(arguments), pace=arguments.pace)
+    cell = _cell(arguments)
+    plant = _plant(cell, physics=arguments.physics)
+    generation = _generation(arguments.version, cell.arm.model)
+    controller = Controller(plant, generation, pace=arguments.pace)
     server = Server(controller, arguments.host)
     await server.listen()
     cycles = asyncio.create_task(server.run(pace=arguments.pace))

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.emulators.ur_controller.functions import functions
 from tdpg_deploy.emulators.ur_controller.modes import (
     Generation,
@@ -20,14 +20,15 @@ from tdpg_deploy.emulators.ur_controller.modes import (
     RuntimeState,
     SafetyMode,
 )
-from tdpg_deploy.emulators.ur_controller.motion import Motion, OutOfReach
+from tdpg_deploy.emulators.ur_controller.motion import Motion, OutOfReach, solve
 from tdpg_deploy.emulators.ur_controller.plant import Plant
 from tdpg_deploy.emulators.ur_controller.script import Program, ScriptError
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.kinematics import forward
 
 _log = logging.getLogger(__name__)
 
-JOINT_SPEED_LIMIT = 3.3  # rad/s: the UR5's 180 degrees a second, and a little
+JOINT_SPEED_LIMIT = 3.3  # rad/s: 180 degrees a second, and a little
 FORCE_LIMIT = 150.0  # N at the tool, PolyScope's default safety setting
 FORCE_LIMIT_AFTER = 0.1  # s; the real one reacts within 0.25 s (UR5 manual, safety functions)
 SAFETY_DECELERATION = 20.0  # rad/s^2, of a protective, safeguard or emergency stop
@@ -78,7 +79,7 @@ class Controller:
 
     @property
     def X_base_tool(self) -> Transform:
-        return kinematics.forward(self.q, self.X_flange_tool)
+        return self.tool_at(self.q)
 
     @property
     def force(self) -> Array:
@@ -87,6 +88,14 @@ class Controller:
     @property
     def is_moving(self) -> bool:
         return bool(np.abs(self.qd).max() > 1e-4)
+
+    def tool_at(self, q: npt.ArrayLike) -> Transform:
+        """X_base_tool at joints (6,), with the TCP that is set."""
+        return forward(self.plant.dh, q, self.X_flange_tool)
+
+    def joints_at(self, X_base_tool: Transform, q_near: Array) -> Array:
+        """Joints (6,) for a pose, in the branch closest to `q_near`. Raises OutOfReach."""
+        return solve(self.plant.dh, self.X_flange_tool, X_base_tool, q_near)
 
     # --- the control cycle --------------------------------------------------------------------
 

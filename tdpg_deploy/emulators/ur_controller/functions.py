@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.emulators.ur_controller.motion import (
     JointPath,
     LinearPath,
@@ -19,10 +19,10 @@ from tdpg_deploy.emulators.ur_controller.motion import (
     OutOfReach,
     PathMotion,
     SpeedMotion,
-    solve,
 )
-from tdpg_deploy.emulators.ur_controller.script import Pose, Steps
+from tdpg_deploy.emulators.ur_controller.script import Pose, ScriptError, Steps
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.kinematics import forward
 
 if TYPE_CHECKING:
     from tdpg_deploy.emulators.ur_controller.controller import Controller
@@ -30,6 +30,11 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _KILLED_DECELERATION = 5.0  # rad/s^2, when the thread that moves the arm is killed
+_SERVO_ACCELERATION = 150.0  # rad/s^2: a target that jumps meets the speed limit first
+_NOT_EMULATED = (
+    *("force_mode", "end_force_mode", "servoc", "movec", "tool_contact", "get_joint_torques"),
+    *("freedrive_mode", "end_freedrive_mode", "teach_mode", "end_teach_mode", "direct_torque"),
+)
 
 
 class Functions:
@@ -75,11 +80,9 @@ class Functions:
         self, target: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0
     ) -> Steps:
         c = self._controller
-        start = kinematics.forward(c.q_target, c.X_flange_tool)
-        is_pose = isinstance(target, Pose)
-        end = _transform(target) if is_pose else kinematics.forward(target, c.X_flange_tool)
-        solve(end, c.X_flange_tool, c.q_target)  # a program ends at a pose that has no solution
-        path = LinearPath(start, end, c.X_flange_tool)
+        end = _transform(target) if isinstance(target, Pose) else c.tool_at(target)
+        c.joints_at(end, c.q_target)  # a program ends at a pose that has no solution
+        path = LinearPath(c.tool_at(c.q_target), end, c.joints_at)
         yield from self._move(PathMotion(path, speed=v, acceleration=a))
 
     movep = movel
@@ -100,12 +103,26 @@ class Functions:
         c = self._controller
 
         def wanted(q: Array) -> Array:
-            pose = kinematics.forward(q, c.X_flange_tool)
+            pose = c.tool_at(q)
             turn = type(pose.rotation).from_rotvec(np.asarray(xd[3:]) * c.dt)
             after = Transform(turn * pose.rotation, pose.translation + np.asarray(xd[:3]) * c.dt)
-            return (solve(after, c.X_flange_tool, q) - q) / c.dt
+            return (c.joints_at(after, q) - q) / c.dt
 
         yield from self._speed(wanted, 2 * a, t)
+
+    def servoj(
+        self,
+        q: Sequence[float],
+        a: float = 0,
+        v: float = 0,
+        t: float = 0.002,
+        lookahead_time: float = 0.1,
+        gain: float = 300,
+    ) -> Steps:
+        """Follows its targets late by `lookahead_time`, whatever the gain; a real arm's lag
+        depends on both."""
+        target = np.asarray(q, np.float64)
+        yield from self._speed(lambda q: (target - q) / lookahead_time, _SERVO_ACCELERATION, t)
 
     def _speed(self, wanted: Callable[[Array], Array], a: float, t: float) -> Steps:
         c = self._controller
@@ -152,7 +169,7 @@ class Functions:
         self, pose: Pose, qnear: Sequence[float] | None = None, *tolerances: float
     ) -> list[float]:
         near: Array = self._controller.q if qnear is None else np.asarray(qnear, np.float64)
-        return list(solve(_transform(pose), self._controller.X_flange_tool, near))
+        return list(self._controller.joints_at(_transform(pose), near))
 
     def get_inverse_kin_has_solution(self, pose: Pose, *arguments: Any) -> bool:
         try:
@@ -162,8 +179,9 @@ class Functions:
         return True
 
     def get_forward_kin(self, q: Sequence[float] | None = None, tcp: Pose | None = None) -> Pose:
-        X_flange_tool = self._controller.X_flange_tool if tcp is None else _transform(tcp)
-        return _pose(kinematics.forward(self._controller.q if q is None else q, X_flange_tool))
+        c = self._controller
+        X_flange_tool = c.X_flange_tool if tcp is None else _transform(tcp)
+        return _pose(forward(c.plant.dh, c.q if q is None else q, X_flange_tool))
 
     def is_within_safety_limits(self, target: Sequence[float]) -> bool:
         return not isinstance(target, Pose) or self.get_inverse_kin_has_solution(target)
@@ -174,14 +192,14 @@ class Functions:
         return _pose(self._controller.X_base_tool)
 
     def get_actual_tool_flange_pose(self) -> Pose:
-        return _pose(kinematics.forward(self._controller.q, Transform.identity()))
+        return self.get_forward_kin(tcp=_pose(Transform.identity()))
 
     def get_actual_joint_positions(self) -> list[float]:
         return list(self._controller.q)
 
     def get_target_tcp_speed(self) -> list[float]:
         c = self._controller
-        after = kinematics.forward(c.q + c.qd * c.dt, c.X_flange_tool)
+        after = c.tool_at(c.q + c.qd * c.dt)
         return [step / c.dt for step in self.pose_sub(_pose(after), _pose(c.X_base_tool))]
 
     def get_tcp_force(self) -> list[float]:
@@ -220,20 +238,25 @@ class Functions:
         self._controller.protective_stop("asked for by the program")
 
     def force_mode_set_damping(self, damping: float) -> None:
-        """Force mode is not emulated; programs set it up all the same."""
+        """Without effect: force mode is not emulated, and programs set it up all the same."""
 
     force_mode_set_gain_scaling = force_mode_set_damping
 
     def _joints(self, target: Sequence[float]) -> Array:
         if isinstance(target, Pose):
-            return solve(_transform(target), self._controller.X_flange_tool, self._controller.q)
+            return self._controller.joints_at(_transform(target), self._controller.q)
         return np.asarray(target, np.float64)
 
 
 def functions(controller: Controller) -> dict[str, Callable[..., Any]]:
     """What a program on this controller can call, by name."""
     bound = Functions(controller)
-    return {name: getattr(bound, name) for name in vars(Functions) if not name.startswith("_")}
+    emulated = {n: getattr(bound, n) for n in vars(Functions) if not n.startswith("_")}
+    return emulated | {name: partial(_refuse, name) for name in _NOT_EMULATED}
+
+
+def _refuse(name: str, *_arguments: object, **_named: object) -> None:
+    raise ScriptError(f"{name} is not emulated; docs/emulate.md says what is")
 
 
 def _transform(pose: Sequence[float]) -> Transform:

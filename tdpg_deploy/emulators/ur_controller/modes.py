@@ -55,7 +55,7 @@ class Generation:
         return self.version[:2] >= (5, 6)
 
 
-GENERATIONS = {
-    "cb3": Generation(version=(3, 15, 8, 106339), frequency=125),
-    "e-series": Generation(version=(5, 11, 1, 108318), frequency=500),
+CONTROLLERS = {  # by the model of the arm: a CB3 drives a UR5, an e-series controller a UR5e
+    "ur5": Generation(version=(3, 15, 8, 106339), frequency=125),
+    "ur5e": Generation(version=(5, 11, 1, 108318), frequency=500),
 }

@@ -6,13 +6,15 @@ Each motion is stepped once a control cycle and gives the joint targets of that 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.kinematics import DhParameters, inverse, nearest
+
+Solve: TypeAlias = Callable[[Transform, Array], Array]  # of `solve`, for one arm and tool
 
 JOINT_RANGE = (-2 * np.pi, 2 * np.pi)
 
@@ -21,9 +23,11 @@ class OutOfReach(Exception):
     """The path leaves what the arm can reach."""
 
 
-def solve(X_base_tool: Transform, X_flange_tool: Transform, q_near: Array) -> Array:
+def solve(
+    dh: DhParameters, X_flange_tool: Transform, X_base_tool: Transform, q_near: Array
+) -> Array:
     """Joints (6,) for a pose, in the branch closest to `q_near`. Raises OutOfReach."""
-    q = kinematics.nearest(kinematics.inverse(X_base_tool, X_flange_tool), q_near, JOINT_RANGE)
+    q = nearest(inverse(dh, X_base_tool, X_flange_tool), q_near, JOINT_RANGE)
     if q is None:
         raise OutOfReach(f"no joint positions put the tool at {X_base_tool.translation} m")
     return q
@@ -52,10 +56,10 @@ class JointPath:
 class LinearPath:
     """Straight in space, turning evenly; length in m, or in rad for a turn on the spot."""
 
-    def __init__(self, start: Transform, end: Transform, X_flange_tool: Transform) -> None:
+    def __init__(self, start: Transform, end: Transform, solve: Solve) -> None:
         distance, angle = start.distance(end)
         self.length = distance if distance > 1e-6 else angle
-        self._start, self._end, self._X_flange_tool = start, end, X_flange_tool
+        self._start, self._end, self._solve = start, end, solve
         self._turn = (end.rotation * start.rotation.inv()).as_rotvec()
 
     def at(self, s: float, q_near: Array) -> Array:
@@ -63,7 +67,7 @@ class LinearPath:
         step = self._end.translation - self._start.translation
         turned = Rotation.from_rotvec(share * self._turn) * self._start.rotation
         pose = Transform(turned, self._start.translation + share * step)
-        return solve(pose, self._X_flange_tool, q_near)
+        return self._solve(pose, q_near)
 
 
 class Motion(Protocol):

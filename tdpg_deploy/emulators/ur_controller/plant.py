@@ -6,12 +6,16 @@ from typing import Protocol
 
 import numpy as np
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.geometry import Array
+from tdpg_deploy.kinematics import DhParameters, forward_batch
 
 
 class Plant(Protocol):
     """An arm and its surroundings, advanced by the controller in its own time."""
+
+    @property
+    def dh(self) -> DhParameters:
+        """Of the arm."""
 
     @property
     def q(self) -> Array:
@@ -30,12 +34,13 @@ class Plant(Protocol):
 
 
 class KinematicPlant:
-    """A UR5 that follows its targets exactly above a springy table, or above nothing."""
+    """An arm that follows its targets exactly above a springy table, or above nothing."""
 
     TIP = np.array([0.0, 0.0, 0.163, 1.0])  # in the flange frame: closed 2F-85
     STIFFNESS = 20_000.0  # N/m, as of rubber tips on wood: 15 N at 0.75 mm
 
-    def __init__(self, q: Array, *, table_z: float | None = None) -> None:
+    def __init__(self, dh: DhParameters, q: Array, *, table_z: float | None = None) -> None:
+        self.dh = dh
         self._q: Array = np.array(q, np.float64)
         self._qd: Array = np.zeros(6)
         self._table_z = table_z
@@ -52,7 +57,7 @@ class KinematicPlant:
     def force(self) -> Array:
         if self._table_z is None:
             return np.zeros(3)
-        tip = kinematics.forward_batch(self._q) @ self.TIP
+        tip = forward_batch(self.dh, self._q) @ self.TIP
         return np.array([0.0, 0.0, self.STIFFNESS * max(0.0, self._table_z - tip[2])])
 
     def drive(self, q_target: Array, dt: float) -> None:

@@ -12,7 +12,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.emulators.ur_controller.controller import Controller
 from tdpg_deploy.emulators.ur_controller.modes import robot_status_bits, safety_status_bits
 from tdpg_deploy.emulators.ur_controller.rtde_wire import FieldType, Value
@@ -29,7 +28,7 @@ def _pose(X: Transform) -> list[float]:
 
 def _tool_speed(c: Controller) -> list[float]:
     before = c.X_base_tool
-    after = kinematics.forward(c.q + c.qd * c.dt, c.X_flange_tool)
+    after = c.tool_at(c.q + c.qd * c.dt)
     turn = (after.rotation * before.rotation.inv()).as_rotvec()
     return list(np.concatenate([after.translation - before.translation, turn]) / c.dt)
 
@@ -56,10 +55,7 @@ _OUTPUTS: dict[str, tuple[FieldType, Read]] = {
     "actual_TCP_pose": (_VECTOR6D, lambda c: _pose(c.X_base_tool)),
     "actual_TCP_speed": (_VECTOR6D, _tool_speed),
     "actual_TCP_force": (_VECTOR6D, lambda c: [*c.force.tolist(), 0.0, 0.0, 0.0]),
-    "target_TCP_pose": (
-        _VECTOR6D,
-        lambda c: _pose(kinematics.forward(c.q_target, c.X_flange_tool)),
-    ),
+    "target_TCP_pose": (_VECTOR6D, lambda c: _pose(c.tool_at(c.q_target))),
     "target_TCP_speed": (_VECTOR6D, _tool_speed),
     "actual_digital_input_bits": (_UINT64, _constant(0)),
     "joint_temperatures": (_VECTOR6D, _constant([30.0] * 6)),

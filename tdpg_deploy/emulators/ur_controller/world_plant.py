@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tdpg_deploy import kinematics
 from tdpg_deploy.geometry import Array
+from tdpg_deploy.kinematics import forward_batch
 from tdpg_deploy.sim.physics import TIME_STEP
 from tdpg_deploy.sim.world import World
 
@@ -30,13 +30,14 @@ class _Obstacle:
 
 
 class WorldPlant:
-    """`plant.Plant` over a world that a UR5 carries. Steps the world, which nobody else may.
+    """`plant.Plant` over a world whose arm is no gantry. Steps the world, which nobody else may.
 
     before_step: called before each step of the world; for what else moves in it.
     """
 
     def __init__(self, world: World, *, before_step: Callable[[], None] = lambda: None) -> None:
         self._world, self._robot, self._before_step = world, world.robot, before_step
+        self.dh = world.config.arm.dh
         self._tip = np.append(world.config.arm.X_flange_tool.transform().translation, 1.0)
         self._q_target = self.q
         self._lately = deque([self.q] * 3, maxlen=3)  # joints at the last three steps
@@ -91,5 +92,5 @@ class WorldPlant:
         return float((obstacle.p_base_tip - self._place(q_target)) @ obstacle.direction)
 
     def _place(self, q: Array) -> Array:
-        place: Array = (kinematics.forward_batch(q) @ self._tip)[:3]
+        place: Array = (forward_batch(self.dh, q) @ self._tip)[:3]
         return place

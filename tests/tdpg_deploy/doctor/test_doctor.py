@@ -16,10 +16,10 @@ import pytest
 from emulated_d435 import INTRINSICS, SERIAL, Scene
 from rich.console import Console
 from robotiq_on_wires import Bench, bench_on
-from ur_rig import emulated_controller, new_host, wait_until
+from ur_rig import arm_section, emulated_controller, new_host, wait_until
 
 from tdpg_deploy.cell import MachineClock
-from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, GripperSection, load_cell
+from tdpg_deploy.cell_config import DEFAULT_CELL, ArmSection, CellConfig, GripperSection, load_cell
 from tdpg_deploy.cli.doctor import main
 from tdpg_deploy.doctor import arm as arm_examination
 from tdpg_deploy.doctor import camera as camera_examination
@@ -36,6 +36,7 @@ from tdpg_deploy.emulators.realsense import EmulatedD435, holes
 from tdpg_deploy.emulators.robotiq import FaultCode
 from tdpg_deploy.emulators.ur_controller.process import ControllerProcess
 from tdpg_deploy.errors import DeviceUnreachable
+from tdpg_deploy.kinematics import MODELS, UR5
 
 GOOD, DOUBT, BAD = Verdict.GOOD, Verdict.DOUBT, Verdict.BAD
 PACED = {"states", "rate", "answers"}  # hang on this machine's load: judged by numbers below
@@ -48,23 +49,22 @@ def verdicts(findings: Iterable[Finding]) -> dict[str, Verdict]:
 # --- arm --------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", params=["cb3", "e-series"])
-def controller(request: pytest.FixtureRequest) -> Iterator[tuple[str, ControllerProcess]]:
-    host = new_host()
-    with emulated_controller(host, generation=request.param) as robot:
-        yield host, robot
+@pytest.fixture(scope="module", params=MODELS)
+def controller(request: pytest.FixtureRequest) -> Iterator[tuple[ArmSection, ControllerProcess]]:
+    section = arm_section(new_host(), request.param)
+    with emulated_controller(section.host, model=section.model) as robot:
+        yield section, robot
 
 
 @pytest.fixture
-def robot(controller: tuple[str, ControllerProcess]) -> ControllerProcess:
+def robot(controller: tuple[ArmSection, ControllerProcess]) -> ControllerProcess:
     controller[1].do("reset")
     return controller[1]
 
 
 @pytest.fixture
-def config(controller: tuple[str, ControllerProcess]) -> CellConfig:
-    cell = load_cell(DEFAULT_CELL)
-    return cell.model_copy(update={"arm": cell.arm.model_copy(update={"host": controller[0]})})
+def config(controller: tuple[ArmSection, ControllerProcess]) -> CellConfig:
+    return load_cell(DEFAULT_CELL).model_copy(update={"arm": controller[0]})
 
 
 def test_a_sound_arm(config: CellConfig, robot: ControllerProcess) -> None:
@@ -87,6 +87,21 @@ def test_an_arm_that_may_not_move(config: CellConfig, robot: ControllerProcess) 
     mode = next(f for f in findings if f.check == "mode")
     assert mode.measured == "RUNNING, safety PROTECTIVE_STOP"
     assert "look at the arm" in mode.remedy
+
+
+def test_a_cell_file_for_the_other_arm(config: CellConfig) -> None:
+    (other,) = MODELS.keys() - {config.arm.model}
+    findings = list(examine_arm(config.arm.model_copy(update={"model": other})))
+    assert verdicts(findings)["model"] is BAD
+    model = next(f for f in findings if f.check == "model")
+    assert model.measured == config.arm.dh.name
+    assert f'set arm.model = "{config.arm.model}"' in model.remedy
+
+
+def test_arms_that_are_not_told_or_not_known() -> None:
+    assert arm_examination.judge_model(None, UR5).verdict is DOUBT
+    ur10 = arm_examination.judge_model("UR10", UR5)
+    assert (ur10.verdict, ur10.remedy) == (BAD, "use one of UR5, UR5e")
 
 
 def test_the_states_are_heard_as_the_controller_sends_them(

@@ -10,7 +10,6 @@ import numpy.typing as npt
 import pytest
 
 from calibration.drift import find_tags
-from calibration.printing import TAGS
 from tdpg_deploy.calibration_file import (
     BoardSection,
     Calibration,
@@ -21,6 +20,7 @@ from tdpg_deploy.calibration_file import (
 from tdpg_deploy.doctor.calibration import examine_calibration
 from tdpg_deploy.doctor.finding import Finding, Verdict
 from tdpg_deploy.hal import Intrinsics, RgbdFrame
+from tdpg_deploy.markers import table_tags
 
 GOOD, DOUBT, BAD = Verdict.GOOD, Verdict.DOUBT, Verdict.BAD
 SERIAL = "837212070000"
@@ -29,10 +29,9 @@ WIDTH, HEIGHT = 640, 480
 
 def picture(shift: int = 0) -> npt.NDArray[np.uint8]:
     """Four table tags, `shift` pixels to the right of where they were."""
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
     seen = np.full((HEIGHT, WIDTH), 255, np.uint8)
     for number, (row, col) in enumerate([(60, 80), (60, 480), (330, 80), (330, 480)]):
-        tag = cv2.aruco.generateImageMarker(dictionary, number, 80)
+        tag = cv2.aruco.generateImageMarker(table_tags(), number, 80)
         seen[row : row + 80, col + shift : col + shift + 80] = tag
     return np.repeat(seen[..., None], 3, axis=2)
 

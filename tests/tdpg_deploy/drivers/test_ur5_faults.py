@@ -9,7 +9,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -26,15 +26,18 @@ from ur_rig import (
     wait_until,
 )
 
-from tdpg_deploy import kinematics
+from tdpg_deploy import cell_config
 from tdpg_deploy.cell import Cell
+from tdpg_deploy.cell_config import ArmSection
+from tdpg_deploy.drivers import ur5
 from tdpg_deploy.drivers.ur5 import UrArm
 from tdpg_deploy.drivers.ur5_network import SCRIPT_PORT
 from tdpg_deploy.emulators.ur_controller.process import ControllerProcess
 from tdpg_deploy.geometry import Array, Transform, top_down
 from tdpg_deploy.hal import ArmState, OnArmState
+from tdpg_deploy.kinematics import MODELS
 
-PACES = {"cb3": 4.0, "e-series": 2.0}  # the latter computes four times as often
+PACES = {"ur5": 4.0, "ur5e": 2.0}  # the latter's controller computes four times as often
 STILL = 1e-6  # rad/s
 Command: TypeAlias = "str | tuple[str, float]"
 Controllers: TypeAlias = Callable[[str], tuple[str, ControllerProcess]]
@@ -50,7 +53,7 @@ class Rig:
     record: takes what a motion measures to the log.
     """
 
-    host: str
+    section: ArmSection
     clock: PacedClock
     robot: ControllerProcess
     arm: UrArm
@@ -58,11 +61,15 @@ class Rig:
     patch: pytest.MonkeyPatch
     record: OnArmState = lambda state: None
 
+    @property
+    def host(self) -> str:
+        return self.section.host
+
     def cell(self) -> Cell:
         """Of this arm and others' doubles; home is where the arm stands, so that nothing moves
         before the fault."""
         cell = config()
-        arm = cell.arm.model_copy(update={"host": self.host, "home": tuple(self.start.tolist())})
+        arm = self.section.model_copy(update={"home": tuple(self.start.tolist())})
         return Cell(
             config=cell.model_copy(update={"arm": arm}),
             camera=StillCamera(self.clock),
@@ -130,7 +137,7 @@ def controllers() -> Iterator[Controllers]:
         def controller(kind: str) -> tuple[str, ControllerProcess]:
             host = new_host()
             if kind in PACES:
-                robot = emulated_controller(host, generation=kind, pace=PACES[kind])
+                robot = emulated_controller(host, model=kind, pace=PACES[kind])
             else:
                 robot = emulated_controller(host, version=kind)
             return host, stack.enter_context(robot)
@@ -144,10 +151,12 @@ def rig(on: str, controllers: Controllers, monkeypatch: pytest.MonkeyPatch) -> I
     host, robot = controllers(on)
     robot.do("reset")
     clock = PacedClock(PACES.get(on, 1.0))
-    arm = UrArm(arm_section(host), clock=clock)
+    section = arm_section(host, on if on in PACES else "ur5")
+    arm = UrArm(section, clock=clock)
     q = np.array(robot.do("truth")["q"])
-    yield Rig(host=host, clock=clock, robot=robot, arm=arm, start=q, patch=monkeypatch)
-    arm.close()
+    rig = Rig(section=section, clock=clock, robot=robot, arm=arm, start=q, patch=monkeypatch)
+    yield rig
+    rig.arm.close()
     assert list(processes_of(host)) == [robot.pid]
 
 
@@ -200,17 +209,23 @@ def signalled(number: signal.Signals) -> Callable[[Rig], None]:
     return under_way(lambda rig: os.kill(rig.child(), number))
 
 
-def another_model(rig: Rig) -> None:
-    def taller(q: Array, X_flange_tool: Transform) -> Transform:
-        pose = forward(q, X_flange_tool)
-        return Transform(pose.rotation, pose.translation + np.array([0, 0, 0.0733]))
+def taken_for(model: str) -> Callable[[Rig], None]:
+    def before(rig: Rig) -> None:
+        rig.section = rig.section.model_copy(update={"model": model})
+        rig.arm = UrArm(rig.section, clock=rig.clock)
 
-    forward = kinematics.forward
-    rig.patch.setattr(kinematics, "forward", taller)  # as a UR5e, by its d1
+    return before
+
+
+def another_arm(rig: Rig) -> None:
+    """By the upper arm of a UR10."""
+    models = {name: replace(dh, a2=-0.612) for name, dh in MODELS.items()}
+    rig.patch.setattr(cell_config, "MODELS", models)
+    rig.patch.setattr(ur5, "MODELS", models)
 
 
 def second_driver(rig: Rig) -> None:
-    UrArm(arm_section(rig.host), clock=rig.clock).connect()
+    UrArm(rig.section, clock=rig.clock).connect()
 
 
 def another_program(rig: Rig) -> None:
@@ -221,7 +236,7 @@ def another_program(rig: Rig) -> None:
 
 
 def not_connected(rig: Rig) -> None:
-    arm = UrArm(arm_section(rig.host), clock=rig.clock)
+    arm = UrArm(rig.section, clock=rig.clock)
     arm.move_joints(rig.goal, speed=0.4, acceleration=5.0, deadline=60.0)
 
 
@@ -286,7 +301,9 @@ FAULTS = {
     "silent-at-connect": Fault(before=commanded("freeze"), mend=("thaw",)),
     "old-cb3-software": Fault(then="nothing"),
     "old-e-series-software": Fault(then="nothing"),
-    "another-model": Fault(before=another_model, then="nothing"),
+    "ur5e-for-ur5": Fault(before=taken_for("ur5"), then="nothing"),
+    "ur5-for-ur5e": Fault(before=taken_for("ur5e"), then="nothing"),
+    "another-arm": Fault(before=another_arm, then="nothing"),
     "registers-in-use": Fault(before=commanded("start_fieldbus"), mend=("stop_fieldbus",)),
     "second-driver": Fault(provoke=second_driver, then="move"),
     "local-at-connect": Fault(before=commanded("local_control"), mend=("remote_control",)),

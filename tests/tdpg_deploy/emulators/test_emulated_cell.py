@@ -60,17 +60,17 @@ def run_real(rig: EmulatorRig, out: Path) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("driver", "generation"),
+    ("driver", "model"),
     [
-        (driver, generation)
+        (driver, model)
         for driver in ("robotiq_rtu", "robotiq_rtu_tcp", "robotiq_urcap")
-        for generation in ("cb3", "e-series")
+        for model in ("ur5", "ur5e")
     ],
 )
-def test_it_is_seen_and_grasped_alike(driver: str, generation: str, tmp_path: Path) -> None:
-    """The same first action as in the mock cell, on each wire of the gripper."""
+def test_it_is_seen_and_grasped_alike(driver: str, model: str, tmp_path: Path) -> None:
+    """The same first action as in the mock cell, with each arm and on each wire of the gripper."""
     wire = {"driver": driver, "port": "/dev/serial/by-id/none"}
-    options = ("--objects", "2", "--seed", "3", "--generation", generation)
+    options = ("--objects", "2", "--seed", "3", "--model", model)
     first = []
     with emulator(small_cell(**wire), *options) as rig:
         config = rig.config

@@ -38,23 +38,22 @@ NORMAL, PLAYING = 1 << 0, 2  # RTDE guide: safety_status_bits, runtime_state
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("generation", "major"), [("cb3", 3), ("e-series", 5)])
-def test_ur_rtde(generation: str, major: int) -> None:
+@pytest.mark.parametrize("model", ["ur5", "ur5e"])
+def test_ur_rtde(model: str) -> None:
     host = new_host()
-    with emulated_controller(host, generation=generation, pace=2.0):
-        command = [sys.executable, str(SESSION), host, str(major)]
-        result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    with emulated_controller(host, model=model, pace=2.0):
+        command = [sys.executable, str(SESSION), host, model]
+        result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=240)
         assert "all well" in result.stdout, result.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("generation", "version"),
-    [("cb3", (3, 15, 8, 106339)), ("e-series", (5, 11, 1, 108318))],
+    ("model", "version"), [("ur5", (3, 15, 8, 106339)), ("ur5e", (5, 11, 1, 108318))]
 )
-def test_universal_robots_own_client(generation: str, version: tuple[int, ...]) -> None:
+def test_universal_robots_own_client(model: str, version: tuple[int, ...]) -> None:
     host = new_host()
-    with emulated_controller(host, generation=generation) as robot, rtde(host) as client:
+    with emulated_controller(host, model=model) as robot, rtde(host) as client:
         assert client.get_controller_version() == version
         frequency = 500 if version[0] == 5 else 125
         assert client.send_output_setup([*OUTPUTS], [*OUTPUTS.values()], frequency=frequency)

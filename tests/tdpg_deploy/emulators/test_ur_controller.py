@@ -11,7 +11,7 @@ from tdpg_deploy.emulators.ur_controller import dashboard
 from tdpg_deploy.emulators.ur_controller import rtde_wire as wire
 from tdpg_deploy.emulators.ur_controller.controller import Controller, Refused
 from tdpg_deploy.emulators.ur_controller.modes import (
-    GENERATIONS,
+    CONTROLLERS,
     RobotMode,
     RuntimeState,
     SafetyMode,
@@ -19,15 +19,21 @@ from tdpg_deploy.emulators.ur_controller.modes import (
 from tdpg_deploy.emulators.ur_controller.plant import KinematicPlant
 from tdpg_deploy.emulators.ur_controller.rtde_session import Claims, RtdeSession
 from tdpg_deploy.emulators.ur_controller.rtde_wire import Kind, Package, WireError, split
+from tdpg_deploy.kinematics import MODELS
 
 HOME = np.radians([90.0, -110, 100, -80, -90, 0])
 MOVE = "def move():\n  movej([1, -1.9, 1.7, -1.4, -1.6, 0], a=2.0, v=0.5)\nend\n"
 IDLE = "def idle():\n  while True:\n    sync()\n  end\nend\n"
 
 
-@pytest.fixture(params=["cb3", "e-series"])
+@pytest.fixture(params=MODELS)
 def controller(request: pytest.FixtureRequest) -> Controller:
-    return Controller(KinematicPlant(HOME), GENERATIONS[request.param])
+    return controller_of(request.param)
+
+
+def controller_of(model: str, *, table_z: float | None = None) -> Controller:
+    plant = KinematicPlant(MODELS[model], HOME, table_z=table_z)
+    return Controller(plant, CONTROLLERS[model])
 
 
 def pass_time(controller: Controller, seconds: float) -> None:
@@ -131,6 +137,45 @@ def test_script_errors_end_the_program(controller: Controller) -> None:
         assert not controller.is_moving
 
 
+def test_servoing_follows_late_by_the_lookahead_time(controller: Controller) -> None:
+    """A ramp is followed by speed times lookahead, and its end exponentially."""
+    controller.upload(
+        "def servo():\n"
+        "  i = 0\n"
+        "  while True:\n"
+        "    servoj([1.5708 + 0.002 * i, -1.92, 1.745, -1.396, -1.5708, 0], t=0.008, "
+        "lookahead_time=0.1, gain=300)\n"
+        "    if i < 200:\n"
+        "      i = i + 1\n"
+        "    end\n"
+        "  end\n"
+        "end\n"
+    )
+    pass_time(controller, 1.6)
+    end = 1.5708 + 0.002 * 200
+    assert end - controller.q[0] == pytest.approx(0.25 * 0.1, rel=0.1)
+    pass_time(controller, 0.2)
+    assert end - controller.q[0] == pytest.approx(0.25 * 0.1 * np.exp(-2), rel=0.2)
+    controller.stop_program()
+    pass_time(controller, 0.1)
+    assert not controller.is_moving
+
+
+def test_a_servo_target_that_jumps_ends_in_a_protective_stop(controller: Controller) -> None:
+    controller.upload("def jump():\n  servoj([2.5, -1.92, 1.745, -1.396, -1.57, 0], t=0.5)\nend\n")
+    pass_time(controller, 0.5)
+    assert controller.safety is SafetyMode.PROTECTIVE_STOP
+
+
+def test_what_is_not_emulated_is_refused_by_name(
+    controller: Controller, caplog: pytest.LogCaptureFixture
+) -> None:
+    controller.upload("def soft():\n  force_mode(p[0,0,0,0,0,0], [0], [0], 2, [0])\nend\n")
+    pass_time(controller, 0.1)
+    assert controller.runtime is RuntimeState.STOPPED
+    assert "soft: force_mode is not emulated; docs/emulate.md says what is" in caplog.text
+
+
 def test_scripts_are_ignored_while_the_arm_cannot_move(controller: Controller) -> None:
     controller.set_remote(False)
     controller.upload(IDLE)
@@ -154,8 +199,7 @@ def test_singular_line_ends_in_a_protective_stop(controller: Controller) -> None
 
 
 def test_forces_beyond_the_limit_end_in_a_protective_stop() -> None:
-    plant = KinematicPlant(HOME, table_z=0.2)
-    controller = Controller(plant, GENERATIONS["cb3"])
+    controller = controller_of("ur5", table_z=0.2)
     controller.upload(
         "def press():\n"
         "  t = get_actual_tcp_pose()\n"
@@ -191,8 +235,7 @@ def test_dashboard_follows_the_state(controller: Controller) -> None:
 
 
 def test_dashboard_of_each_generation() -> None:
-    cb3 = Controller(KinematicPlant(HOME), GENERATIONS["cb3"])
-    e_series = Controller(KinematicPlant(HOME), GENERATIONS["e-series"])
+    cb3, e_series = controller_of("ur5"), controller_of("ur5e")
     assert "3.15.8.106339" in dashboard.answer("PolyscopeVersion", cb3)
     assert dashboard.answer("is in remote control", cb3).startswith("could not understand")
     assert dashboard.answer("is in remote control", e_series) == "true"
@@ -215,7 +258,7 @@ def request(session: RtdeSession, kind: str, payload: bytes = b"") -> bytes:
 
 
 def test_outputs_come_at_the_rate_asked_for() -> None:
-    controller = Controller(KinematicPlant(HOME), GENERATIONS["e-series"])
+    controller = controller_of("ur5e")
     session = RtdeSession(controller, Claims())
     assert request(session, "V", b"\x00\x02") == b"\x01"
     assert request(session, "V", b"\x00\x01") == b"\x00"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ur_analytic_ik import ur5
+from ur_analytic_ik import ur5, ur5e
 
 from tdpg_deploy.emulators.ur_controller.motion import (
     JointPath,
@@ -17,10 +19,12 @@ from tdpg_deploy.emulators.ur_controller.motion import (
     solve,
 )
 from tdpg_deploy.geometry import Array, Transform, top_down
+from tdpg_deploy.kinematics import MODELS, UR5
 
 DT = 0.008
 HOME = np.radians([90, -110, 100, -80, -90, 10])
 X_FLANGE_TOOL = Transform.from_rotation_vector([0, 0, 0.163, 0, 0, 0])
+REFERENCES = {"ur5": ur5, "ur5e": ur5e}
 
 
 def positions(motion: PathMotion, q: Array, *, slider: float = 1.0) -> Array:
@@ -53,12 +57,14 @@ def test_trapezoid(length: float, speed: float, acceleration: float) -> None:
     assert (len(rows) - 1) * DT == pytest.approx(duration, abs=6 * DT)
 
 
-def test_line_is_straight_and_even() -> None:
-    start = Transform.from_matrix(ur5.forward_kinematics(*HOME)) @ X_FLANGE_TOOL
+@pytest.mark.parametrize("model", MODELS)
+def test_line_is_straight_and_even(model: str) -> None:
+    forward = REFERENCES[model].forward_kinematics
+    start = Transform.from_matrix(forward(*HOME)) @ X_FLANGE_TOOL
     end = top_down(0.35, -0.25, 0.2, 0.5)
-    path = LinearPath(start, end, X_FLANGE_TOOL)
+    path = LinearPath(start, end, partial(solve, MODELS[model], X_FLANGE_TOOL))
     rows = positions(PathMotion(path, speed=0.25, acceleration=1.2), HOME)
-    poses = [Transform.from_matrix(ur5.forward_kinematics(*q)) @ X_FLANGE_TOOL for q in rows]
+    poses = [Transform.from_matrix(forward(*q)) @ X_FLANGE_TOOL for q in rows]
     assert poses[-1].distance(end)[0] < 1e-6
     assert poses[-1].distance(end)[1] < 1e-6
     whole, turn = start.distance(end)
@@ -72,7 +78,8 @@ def test_line_is_straight_and_even() -> None:
 
 def test_turn_on_the_spot() -> None:
     start = top_down(0.35, -0.25, 0.2, 0.0)
-    path = LinearPath(start, top_down(0.35, -0.25, 0.2, 0.8), X_FLANGE_TOOL)
+    end = top_down(0.35, -0.25, 0.2, 0.8)
+    path = LinearPath(start, end, partial(solve, UR5, X_FLANGE_TOOL))
     assert path.length == pytest.approx(0.8)
 
 
@@ -124,4 +131,4 @@ def test_speed_motion_ramps_and_brakes() -> None:
 
 def test_out_of_reach() -> None:
     with pytest.raises(OutOfReach, match="no joint positions"):
-        solve(top_down(1.2, 0, 0, 0), X_FLANGE_TOOL, HOME)
+        solve(UR5, X_FLANGE_TOOL, top_down(1.2, 0, 0, 0), HOME)

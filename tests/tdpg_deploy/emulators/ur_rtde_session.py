@@ -1,4 +1,5 @@
-"""A program of somebody who has a UR and ur_rtde, run against `argv[1]` in its own process:
+"""A program of somebody who has a UR and ur_rtde, run against `argv[1]`, a "ur5" or "ur5e" by
+`argv[2]`, in its own process:
 ur_rtde may end a process that loses its link. Says "all well" at its end."""
 
 from __future__ import annotations
@@ -7,6 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +16,13 @@ from dashboard_client import DashboardClient
 from rtde_control import Path, PathEntry, RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 from scipy.spatial.transform import Rotation
-from ur_analytic_ik import ur5
+from ur_analytic_ik import ur5, ur5e
 
 PARKED = [1, -1.9, 1.7, -1.4, -1.6, 0]
 
 
-def main(host: str, major: int) -> None:
+def main(host: str, model: str) -> None:
+    major, pose_at = (3, pose_of(ur5)) if model == "ur5" else (5, pose_of(ur5e))
     control, receive = RTDEControlInterface(host), RTDEReceiveInterface(host)
     dashboard = DashboardClient(host)
     dashboard.connect()
@@ -69,6 +72,18 @@ def main(host: str, major: int) -> None:
     assert control.speedStop()
     assert near(receive.getActualTCPPose()[:2], before[:2])
 
+    q = np.array(receive.getActualQ())
+    for target in np.linspace(q, q + 0.1, 40):
+        begun = control.initPeriod()
+        assert control.servoJ(list(target), 0, 0, 0.01, 0.05, 300)
+        control.waitPeriod(begun)
+    soon(lambda: near(receive.getActualQ(), q + 0.1))
+    down = pose_at(q + 0.1, 0.163)
+    down[2] -= 0.005
+    assert control.servoL(down, 0, 0, 0.01, 0.05, 300)
+    soon(lambda: same_pose(receive.getActualTCPPose(), down))
+    assert control.servoStop()
+
     assert control.sendCustomScriptFunction("park", f"movej({PARKED}, v=3, a=9)")
     soon(lambda: near(receive.getActualQ(), PARKED))
 
@@ -97,13 +112,17 @@ def same_pose(a: Sequence[float], b: Sequence[float]) -> bool:
     return near(a[:3], b[:3]) and bool(turn.magnitude() < 1e-3)
 
 
-def pose_at(q: Iterable[float], tool: float) -> list[float]:
-    """UR's six numbers of a tool this long, by another library's kinematics."""
-    X = ur5.forward_kinematics(*q)
-    return [*(X[:3, 3] + X[:3, 2] * tool), *Rotation.from_matrix(X[:3, :3]).as_rotvec()]
+def pose_of(arm: ModuleType) -> Callable[[Iterable[float], float], list[float]]:
+    """UR's six numbers at joints, of a tool this long, by another library's kinematics."""
+
+    def pose_at(q: Iterable[float], tool: float) -> list[float]:
+        X = arm.forward_kinematics(*q)
+        return [*(X[:3, 3] + X[:3, 2] * tool), *Rotation.from_matrix(X[:3, :3]).as_rotvec()]
+
+    return pose_at
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1], sys.argv[2])
     print("all well", flush=True)  # noqa: T201
     os._exit(0)  # ur_rtde's destructors take seconds

@@ -68,6 +68,19 @@ def test_red_is_red_to_opencv() -> None:
     assert bgr[0, 0].tolist() == [0, 0, 255]
 
 
+@pytest.mark.parametrize(("width", "shown"), [(1280, 640), (640, 640), (64, 64)])
+def test_a_preview_is_the_picture_made_small(width: int, shown: int) -> None:
+    rgb = np.zeros((width // 2, width, 3), np.uint8)
+    rgb[:, width // 2 :] = 250, 120, 10
+    message = messages.encode_preview(rgb, 7, CAMERA)
+    assert (message.format, message.frame_id) == ("jpeg", CAMERA)
+    bgr = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+    assert bgr is not None
+    assert bgr.shape == (shown // 2, shown, 3)
+    np.testing.assert_allclose(bgr[5, -5], (10, 120, 250), atol=4)
+    np.testing.assert_allclose(bgr[5, 5], 0, atol=4)
+
+
 @given(shapes.flatmap(lambda shape: hnp.arrays(np.uint16, shape)))
 def test_depth_in_millimetres_takes_two_bytes(counts: npt.NDArray[np.uint16]) -> None:
     depth = counts.astype(np.float32) * np.float32(0.001)  # as librealsense computes metres

@@ -18,15 +18,16 @@ from tdpg_deploy.sim.scenes import Scene, SceneObject, random_scene
 from tdpg_deploy.sim.world import World
 from tdpg_deploy.workspace import workspace_of
 
-CARRIERS = ("gantry", "ur5")
+CARRIERS = ("gantry", "arm")
 MOCK = load_cell(DEFAULT_CELL)
 WORKSPACE = workspace_of(MOCK)
 TABLE = WORKSPACE.table_z
 
 
-def cell(carrier: str) -> CellConfig:
+def cell(carrier: str, model: str = "ur5") -> CellConfig:
+    arm = MOCK.arm.model_copy(update={"model": model})
     simulation = MOCK.simulation.model_copy(update={"carrier": carrier})
-    return MOCK.model_copy(update={"simulation": simulation})
+    return MOCK.model_copy(update={"arm": arm, "simulation": simulation})
 
 
 def pointing_down(x: float, y: float, height: float, yaw: float = 0.0) -> Transform:
@@ -48,9 +49,11 @@ def heap(n: int, seed: int) -> Scene:
 
 
 @contextmanager
-def running(carrier: str, *objects: SceneObject) -> Iterator[tuple[World, SimArm, SimGripper]]:
+def running(
+    carrier: str, *objects: SceneObject, model: str = "ur5"
+) -> Iterator[tuple[World, SimArm, SimGripper]]:
     """A cell with these objects, the gripper activated."""
-    world = World(cell(carrier), Scene(objects=objects), seed=0)
+    world = World(cell(carrier, model), Scene(objects=objects), seed=0)
     gripper = SimGripper(world)
     gripper.activate()
     try:
@@ -66,9 +69,19 @@ def travel(arm: SimArm, X_base_tool: Transform, on_state: OnArmState | None = No
     )
 
 
-def touch(arm: SimArm, X_base_tool: Transform, stop_force: float = 15.0) -> MotionResult:
+def touch(
+    arm: SimArm,
+    X_base_tool: Transform,
+    stop_force: float = 15.0,
+    on_state: OnArmState | None = None,
+) -> MotionResult:
     """Until there, or until something is in the way."""
     arm.zero_force()
     return arm.move_linear(
-        X_base_tool, speed=0.15, acceleration=1.2, deadline=9.0, stop_force=stop_force
+        X_base_tool,
+        speed=0.15,
+        acceleration=1.2,
+        deadline=9.0,
+        stop_force=stop_force,
+        on_state=on_state,
     )

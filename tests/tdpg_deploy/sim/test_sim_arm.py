@@ -57,8 +57,10 @@ def test_a_descent_onto_a_block_stops_on_force(carrier: str) -> None:
     with running(carrier, lying("cube")) as (world, arm, gripper):
         gripper.move(0, speed=0.15, force=20)
         travel(arm, pointing_down(0.5, 0, 0.15))
-        result = touch(arm, pointing_down(0.5, 0, 0.01))
+        states: list[ArmState] = []
+        result = touch(arm, pointing_down(0.5, 0, 0.01), on_state=states.append)
         assert result.end is MotionEnd.CONTACT
+        assert max(np.linalg.norm(state.force) for state in states) > 15  # whoever logs them sees
         assert_allclose(result.state.X_base_tool.translation[2], TABLE + 0.05, atol=0.003)
         assert np.abs(result.state.qd).max() < 0.05
         travel(arm, pointing_down(0.5, 0, 0.15))
@@ -93,7 +95,7 @@ def test_out_of_reach_nothing_moves(carrier: str) -> None:
 
 
 def test_a_blocked_arm_says_so() -> None:
-    with running("ur5") as (_, arm, gripper):
+    with running("arm") as (_, arm, gripper):
         gripper.move(0, speed=0.15, force=20)
         travel(arm, pointing_down(0.5, 0, 0.05))
         with pytest.raises(ArmError, match="blocks the arm"):

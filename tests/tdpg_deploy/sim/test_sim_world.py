@@ -143,7 +143,7 @@ def test_time_only_grows_with_steps() -> None:
 
 
 def test_visible_pieces_are_where_the_physics_has_them() -> None:
-    with running("ur5", lying("arch")) as (world, arm, _):
+    with running("arm", lying("arch")) as (world, arm, _):
         pieces = world.visible()
         arch = [piece for piece in pieces if piece.owner == 0]
         assert len(arch) == len(SHAPES["arch"].pieces)
@@ -167,7 +167,7 @@ def test_at_home_the_robot_hides_nothing_from_the_camera() -> None:
         for z in (TABLE, TABLE + 0.15)
     ]
     view = ConvexHull([MOCK.X_base_camera.translation, *corners]).equations
-    with running("ur5") as (world, _, _):
+    with running("arm") as (world, _, _):
         moving = [p for p in world.visible() if p.owner == ROBOT][1:]  # the first is the plinth
         for p in moving:
             vertices = p.X_base_piece @ p.piece.vertices
@@ -176,7 +176,7 @@ def test_at_home_the_robot_hides_nothing_from_the_camera() -> None:
 
 
 def test_home_is_above_the_bin() -> None:
-    with running("ur5") as (_, arm, _):
+    with running("arm") as (_, arm, _):
         tool = arm.state().X_base_tool
         assert_allclose(tool.translation[:2], MOCK.bin.position[:2], atol=0.001)
         assert tool.translation[2] > MOCK.bin.position[2]

@@ -111,6 +111,18 @@ ACTIONS: list[tuple[Cause, Primitive, Outcome, str]] = [
         "nothing left the map",
     ),
     (
+        Cause.MISSED_GRASP,
+        GRASP,
+        replace(MISSED, gone_from_map=Verdict.YES),
+        "after the lift; what stood there was pushed aside",
+    ),
+    (
+        Cause.UNKNOWN,
+        GRASP,
+        replace(MISSED, width_after_close=0.0045, gone_from_map=Verdict.YES),
+        "gone from the map: yes",
+    ),
+    (
         Cause.SLIP,
         GRASP,
         replace(MISSED, width_after_close=0.0312),
@@ -128,6 +140,13 @@ ACTIONS: list[tuple[Cause, Primitive, Outcome, str]] = [
         replace(MISSED, motion=Motion(contact="descend", seconds=0.1), width_after_close=nan,
                 width_after_lift=nan),
         'more than 15.0 N ended "descend"',
+    ),
+    (
+        Cause.FINGER_ON_OBJECT,
+        GRASP,
+        replace(MISSED, motion=Motion(contact="lower", seconds=0.1), width_after_close=nan,
+                width_after_lift=nan),
+        'ended "lower", above what was seen there',
     ),
     (
         Cause.COLLISION,

@@ -15,13 +15,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 from audited_logs import HOSTILE, make_logs
 
+from tdpg_deploy.episode_log.reader import read_episode
 from tools.audit.cli import main
 from tools.audit.serve import open_server
 from tools.audit.site_build import as_script_data, slug
+from tools.audit.site_images import write_images
 
+FIRST_SCHEMA = Path(__file__).parents[2] / "tdpg_deploy/episode_log/data/schema_1.mcap"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
@@ -79,6 +83,16 @@ def test_an_episodes_page_has_its_steps_and_their_pictures(site: Path) -> None:
         for file in (looks["map"], q_maps["push"], q_maps["grasp"]):
             assert (folder / file).read_bytes().startswith(b"\x89PNG")
         assert len(step["path"]["t"]) == 6
+
+
+def test_a_log_without_previews_has_camera_pictures_all_the_same(tmp_path: Path) -> None:
+    """The first logs had none."""
+    images = write_images(read_episode(FIRST_SCHEMA), tmp_path)
+    assert len(images.looks) == 3
+    for look in images.looks.values():
+        picture = cv2.imread(str(tmp_path / look["camera"]))
+        assert picture is not None
+        assert picture.shape == (12, 16, 3)
 
 
 def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
