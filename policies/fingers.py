@@ -53,8 +53,8 @@ def _under(heightmap: Heightmap, parts: Sequence[Part]) -> Ground:
     """The ground is known or not under the first of the parts, the one that reaches lowest.
     Beyond the map lies the table, as the cell's owner vouches."""
     seen = heightmap.valid
-    smooth = cv2.medianBlur(np.where(seen, heightmap.height, np.float32(0)), 3)  # no lone specks
-    smooth = np.pad(smooth, _AROUND)
+    filled = np.where(seen, heightmap.height, np.float32(0))
+    smooth: Map = np.pad(cv2.medianBlur(filled, 3), _AROUND)  # no lone specks
     unknown = _unknown(seen, parts[0])
     known = np.empty((HALF_TURN, SIZE, SIZE), np.bool_)
     inside = slice(_AROUND, _AROUND + SIZE)
