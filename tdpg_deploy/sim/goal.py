@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.sim.camera import true_pose
 from tdpg_deploy.sim.render import render
-from tdpg_deploy.sim.world import Where, World
+from tdpg_deploy.sim.world import World
 
 
 class GoalDetector:
@@ -26,17 +26,9 @@ class GoalDetector:
 
     def __call__(self, frame: RgbdFrame) -> npt.NDArray[np.bool_]:
         """(H, W): pixels of `frame` that show one of the goals."""
-        return np.isin(self._owner(frame), list(self.goals))
+        return np.isin(self.owner(frame), list(self.goals))
 
-    def in_sight(self, frame: RgbdFrame, *, pixels: int) -> list[int]:
-        """Objects in the workspace that so many pixels of `frame` show, or more."""
-        owner = self._owner(frame)
-        return [
-            state.index
-            for state in self._world.objects()
-            if state.where is Where.WORKSPACE and int((owner == state.index).sum()) >= pixels
-        ]
-
-    def _owner(self, frame: RgbdFrame) -> npt.NDArray[np.int16]:
+    def owner(self, frame: RgbdFrame) -> npt.NDArray[np.int16]:
+        """(H, W): the object that each pixel of `frame` shows, -1 where there is none."""
         world = self._world
         return render(world.visible(), frame.intrinsics, true_pose(world.config)).owner

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial import distance_matrix
 
+from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Array
 from tdpg_deploy.sim.links import MAX_WIDTH
 from tdpg_deploy.sim.scenes import Scene
 from tdpg_deploy.sim.world import World
-from tools.evaluate.tables import CaseTable, RandomTable, SceneTable, challenge_cases, in_sight
+from tools.evaluate.tables import CaseTable, RandomTable, SceneTable, challenge_cases
+from tools.goals import in_sight
 
 CELL = load_cell(DEFAULT_CELL)
 CASES = challenge_cases()
@@ -40,7 +42,8 @@ def test_a_case_is_at_rest_and_its_one_goal_in_sight(case: CaseTable) -> None:
         assert radians < np.radians(1)
     world.close()
     (goal,) = [index for index, item in enumerate(scene.objects) if item.goal]
-    assert goal in in_sight(scene, CELL, 501)
+    with open_cell(CELL, scene=scene, seed=501) as opened:
+        assert goal in in_sight(opened)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.file.stem)
@@ -88,7 +91,8 @@ def test_the_goal_of_a_random_table_is_one_that_the_first_look_shows() -> None:
     table = RandomTable(objects=12)
     scene = table.scene(CELL, 502, goal=True)
     (goal,) = [index for index, item in enumerate(scene.objects) if item.goal]
-    assert goal in in_sight(scene, CELL, 502)
+    with open_cell(CELL, scene=scene, seed=502) as opened:
+        assert goal in in_sight(opened)
     same = table.scene(CELL, 502, goal=False)
     assert (centres(same) == centres(scene)).all()
 

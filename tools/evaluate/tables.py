@@ -5,7 +5,6 @@ The same table, cell and seed give the same objects in the same places, whatever
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -15,16 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.episode import GOAL_PIXELS
 from tdpg_deploy.errors import SceneError
 from tdpg_deploy.geometry import Transform
-from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.sim.bodies import SHAPES
-from tdpg_deploy.sim.goal import GoalDetector
 from tdpg_deploy.sim.novel import NOVEL
 from tdpg_deploy.sim.scene_file import load_scene, parse_scene
 from tdpg_deploy.sim.scenes import Scene, random_scene
 from tdpg_deploy.workspace import workspace_of
+from tools.goals import in_sight
 
 CASES = Path(__file__).parent / "scenes"
 CASES_MIDDLE = np.array([0.5, 0.0, -0.15])  # m, base: the mock cell's table, as their files have it
@@ -131,24 +128,8 @@ def challenge_cases() -> list[CaseTable]:
 
 def with_seen_goal(scene: Scene, cell: CellConfig, seed: int, rng: np.random.Generator) -> Scene:
     """With one of the objects that the first look shows as the goal. Raises SceneError."""
-    seen = in_sight(scene, cell, seed)
+    with open_cell(cell, scene=scene, seed=seed) as opened:
+        seen = in_sight(opened)
     if not seen:
         raise SceneError("the first look shows no object that could be the goal")
     return scene.with_goal(int(rng.choice(seen)))
-
-
-def in_sight(scene: Scene, config: CellConfig, seed: int) -> Sequence[int]:
-    """Objects of which an episode's first look shows enough not to call the goal lost."""
-    with open_cell(config, scene=scene, seed=seed) as cell:
-        frame = cell.camera.capture()
-        detector = cell.goal_pixels
-        assert isinstance(detector, GoalDetector)
-        seen = []
-        for index in range(len(scene.objects)):
-            detector.goals = {index}
-            heightmap = build_heightmap(
-                frame, config.X_base_camera, workspace_of(config), goal_pixels=detector(frame)
-            )
-            if heightmap.goal is not None and int(heightmap.goal.sum()) >= GOAL_PIXELS:
-                seen.append(index)
-    return seen

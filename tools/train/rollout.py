@@ -17,13 +17,13 @@ from policies.heightmap import Workspace
 from policies.policy import Decider, QMaps
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.episode import GOAL_PIXELS, run_episode
+from tdpg_deploy.episode import run_episode
 from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.sim.bodies import SHAPES
-from tdpg_deploy.sim.goal import GoalDetector
 from tdpg_deploy.sim.random_shapes import random_shape
 from tdpg_deploy.sim.scenes import MAX_PACKED, Scene, packed_scene, random_scene
 from tdpg_deploy.workspace import workspace_of
+from tools.goals import detector_of, in_sight
 from tools.train.config import PushReward, Randomization, Stage
 from tools.train.explore import Exploring
 from tools.train.notebook import Experience, Notebook
@@ -82,13 +82,11 @@ def _goals(cell: Cell, rng: np.random.Generator) -> Iterator[int]:
     """Show one random object in sight after another as the goal, until there is none or the
     same one was aimed at and is still there: "until the workspace no longer contains any viable
     target objects" (paper, section III-D)."""
-    detector = cell.goal_pixels
-    assert isinstance(detector, GoalDetector)
     tried: set[int] = set()
-    while left := set(detector.in_sight(cell.camera.capture(), pixels=GOAL_PIXELS)) - tried:
+    while left := set(in_sight(cell)) - tried:
         goal = int(rng.choice(sorted(left)))
         tried.add(goal)
-        detector.goals = {goal}
+        detector_of(cell).goals = {goal}
         yield goal
 
 
