@@ -220,6 +220,21 @@ def choose_by_critic_two(
     return next(promising, chosen)
 
 
+def choose_most_promising(
+    _chosen: Choice,
+    grasps: Sequence[Choice],
+    push: Choice | None,
+    p_success: npt.NDArray[np.float64],
+    *,
+    least: float,
+) -> Choice:
+    """The grasp that Critic II believes in most, or the best push when it believes in none by
+    `least`. Critic I has proposed them; which of them it prefers does not matter. Not of the paper.
+    """
+    most = int(np.argmax(p_success))
+    return grasps[most] if push is None or p_success[most] >= least else push
+
+
 # --- from the map to the world ----------------------------------------------------------------
 
 

@@ -14,7 +14,6 @@ from policies.decide import (
     allowed,
     best_grasps,
     best_push,
-    choose_by_critic_two,
     to_primitive,
 )
 from policies.errors import NoActionError
@@ -63,10 +62,10 @@ class LearnedPolicy:
                 f"it was not seen, or all was to be avoided ({len(avoid)} actions)"
             )
         verdict = None
-        if self.method.doubts and grasps:
+        if self.method.judge is not None and grasps:
             with _timed(seconds, "critic_two"):
                 p_success = critic_two(self._network, features, grasps)
-                agreed = choose_by_critic_two(chosen, grasps, push, p_success)
+                agreed = self.method.judge(chosen, grasps, push, p_success)
             verdict = CriticVerdict(
                 p_success=tuple(p_success.tolist()), overruled=agreed.kind != chosen.kind
             )

@@ -7,26 +7,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.decide import Choice, choose_by_critic_one, rising
+from policies.decide import (
+    Choice,
+    choose_by_critic_one,
+    choose_by_critic_two,
+    choose_most_promising,
+    rising,
+)
 from policies.heightmap import Heightmap
 
 Rule = Callable[[Sequence[Choice], Choice | None, Heightmap], Choice | None]
+Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float64]], Choice]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
     """choose: the best grasps, the best push and what was seen -> one of them; None if there
-    is none. pushes: both maps are valued. doubts: Critic II may swap push and grasp."""
+    is none. pushes: both maps are valued. judge: what Critic II makes of that choice, of the
+    same grasps and push, and of each grasp's P_success; None: it has no say."""
 
     name: str
     choose: Rule
     pushes: bool = True
-    doubts: bool = False
+    judge: Judge | None = None
 
 
 def highest_value(
@@ -36,6 +46,7 @@ def highest_value(
     return choose_by_critic_one(grasps, push)
 
 
+SURE = 0.98  # P_success: of the grasps below it four in ten held, in packs, above it all
 OCCUPIED = 0.3  # EPG: part of the goal's border above which it is pushed free first
 WORTHWHILE = 1.0  # EPG: grasp value below which it pushes, in units of the grasp's reward
 BORDER = 5  # pixels; width of the border around the goal
@@ -67,9 +78,12 @@ METHODS = {
     for method in (
         Method(name="grasp-only", choose=highest_value, pushes=False),
         Method(name="vpg", choose=highest_value),
-        Method(name="vpg+critic", choose=highest_value, doubts=True),
+        Method(name="vpg+critic", choose=highest_value, judge=choose_by_critic_two),
         Method(name="epg", choose=free_the_goal),
         Method(name="tdpg-base", choose=highest_value),
-        Method(name="tdpg", choose=highest_value, doubts=True),
+        Method(name="tdpg", choose=highest_value, judge=choose_by_critic_two),
+        Method(
+            name="tdpg-sure", choose=highest_value, judge=partial(choose_most_promising, least=SURE)
+        ),
     )
 }

@@ -17,6 +17,7 @@ from policies.decide import (
     best_push,
     choose_by_critic_one,
     choose_by_critic_two,
+    choose_most_promising,
     graspable,
     pushable,
     rising,
@@ -262,6 +263,24 @@ def test_critic_one_takes_the_higher_value() -> None:
 )
 def test_critic_two_swaps_at_c(chosen: Choice, p_success: list[float], expected: Choice) -> None:
     assert choose_by_critic_two(chosen, TEN, PUSH, np.array(p_success)) is expected
+
+
+@pytest.mark.parametrize(
+    ("chosen", "p_success", "expected"),
+    [
+        (TEN[0], [0.9] * 10, TEN[0]),
+        (TEN[0], [0.9] * 7 + [0.95] * 3, TEN[7]),
+        (PUSH, [0.9] * 10, TEN[0]),
+        (TEN[0], [0.89] * 10, PUSH),
+        (PUSH, [0.5] * 10, PUSH),
+    ],
+)
+def test_the_most_promising_grasp_is_made_or_a_push(
+    chosen: Choice, p_success: list[float], expected: Choice
+) -> None:
+    judged = choose_most_promising(chosen, TEN, PUSH, np.array(p_success), least=0.9)
+    assert judged is expected
+    assert choose_most_promising(chosen, TEN, None, np.array(p_success), least=2.0) in TEN
 
 
 def test_a_doubtful_grasp_is_made_when_no_push_is_allowed() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tables import table_with
 
-from policies.decide import Choice
+from policies.decide import Choice, choose_by_critic_two
 from policies.heightmap import SIZE
 from policies.methods import METHODS, border_occupancy
 
@@ -16,8 +16,8 @@ PUSH = Choice(kind="push", rotation=0, row=0, col=0, q=1.5)
 
 def test_the_papers_methods_exist() -> None:
     assert {"vpg", "epg", "tdpg-base", "tdpg"} <= set(METHODS)
-    assert METHODS["tdpg"].doubts
-    assert not METHODS["tdpg-base"].doubts
+    assert METHODS["tdpg"].judge is choose_by_critic_two
+    assert METHODS["tdpg-base"].judge is None
 
 
 def test_border_occupancy_counts_what_stands_around_the_goal() -> None:

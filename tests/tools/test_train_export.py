@@ -75,6 +75,16 @@ def test_the_policy_comes_with_its_card(run: Path, tmp_path: Path) -> None:
         assert fact in card
 
 
+def test_a_policy_may_decide_by_another_method_than_the_one_it_was_trained_with(
+    run: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "sure.safetensors"
+    export(run, out, method="tdpg-sure")
+    assert load_checkpoint(out).config.method == "tdpg-sure"
+    with pytest.raises(ConfigError, match="no method nonsense: one of grasp-only"):
+        export(run, out, method="nonsense")
+
+
 def test_a_directory_without_a_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match=r"policy.safetensors: cannot be read"):
         export(tmp_path, tmp_path / "out.safetensors")

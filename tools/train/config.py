@@ -122,15 +122,15 @@ class Evaluation(_Section):
 
 class TrainConfig(_Section):
     """width: of the light network, at stride 2; of densenet121, its growth rate. goal: fetch
-    objects instead of clearing the table. critic_two: train it, and let it have its say (else
-    TDPG-base). imagenet: torchvision's densenet121 state dict, which both towers begin with.
+    objects instead of clearing the table. method: by which the synergy stage decides; where
+    Critic II has no say in it, it is not trained. imagenet: torchvision's densenet121 state dict, which both towers begin with.
     start: a policy file whose weights the run begins with."""
 
     seed: int = 0
     network: Literal["light", "densenet121"] = "light"
     width: int = 16
     goal: bool = False
-    critic_two: bool = True
+    method: Literal["vpg", "vpg+critic", "epg", "tdpg-base", "tdpg", "tdpg-sure"] = "tdpg"
     imagenet: Path | None = None
     start: Path | None = None
     stages: tuple[Stage, ...] = Field(min_length=1)

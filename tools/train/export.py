@@ -20,6 +20,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("run", type=Path, metavar="RUN_DIR", help="--out of tdpg-train")
     p.add_argument("out", type=Path, metavar="OUT.safetensors")
+    p.add_argument("--method", metavar="NAME", help="that the policy decides by, not the run's")
     p.add_argument("--note", default="", metavar="TEXT", help="for the card")
     return p
 
@@ -34,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     console = Console()
     try:
-        sha256 = export(args.run, args.out, note=args.note)
+        sha256 = export(args.run, args.out, method=args.method, note=args.note)
     except (PolicyError, TdpgError) as error:
         console.print(str(error), style="red", markup=False)
         return 2
@@ -42,24 +43,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def export(run: Path, out: Path, *, note: str = "") -> str:
-    """Returns the policy's SHA-256. Raises PolicyError, and ConfigError for a bad name."""
+def export(run: Path, out: Path, *, method: str | None = None, note: str = "") -> str:
+    """method: see `methods.METHODS`; the run's when not given. Returns the policy's SHA-256.
+
+    Raises PolicyError, and ConfigError for a bad name.
+    """
+    from dataclasses import replace
+
     from policies.checkpoint import load_checkpoint, save_checkpoint
+    from policies.methods import METHODS
     from tdpg_deploy.errors import ConfigError
     from tools.train.curve import read_curve
     from tools.train.run import WEIGHTS
 
     if out.suffix != ".safetensors":
         raise ConfigError(f"{out}: a policy file ends in .safetensors")
+    if method is not None and method not in METHODS:
+        raise ConfigError(f"no method {method}: one of {', '.join(METHODS)}")
     frozen = load_checkpoint(run / WEIGHTS)
+    config = replace(frozen.config, method=method or frozen.config.method)
     lines = [line for line in read_curve(run) if line["actions"] <= frozen.provenance["actions"]]
     validated = [line for line in lines if line["validation"]]
     provenance = dict(frozen.provenance)
     provenance["validation"] = validated[-1]["validation"] if validated else None
     provenance["note"] = note
     out.parent.mkdir(parents=True, exist_ok=True)
-    sha256 = save_checkpoint(out, frozen.network(), frozen.config, provenance)
-    card = card_of(out.stem, vars(frozen.config), provenance, sha256)
+    sha256 = save_checkpoint(out, frozen.network(), config, provenance)
+    card = card_of(out.stem, vars(config), provenance, sha256)
     out.with_suffix(".md").write_text(card, encoding="utf-8")
     return sha256
 
@@ -82,7 +92,7 @@ def card_of(
         f"{config['width']}. SHA-256 `{sha256}`.",
         "## Training",
         f"{actions} actions, {budget} the paper's budget of {PAPER_BUDGET}; "
-        f"{provenance['updates']} updates in the last run. Simulated tables of random blocks, "
+        f"{provenance['updates']} updates in the last run. Simulated tables of random objects, "
         "with the D435's noise and the randomisation below. Nothing real was learnt from.",
         f"{start['actions']} of the actions made the weights that it began with, "
         f"`{start['sha256']}`."

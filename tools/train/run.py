@@ -16,6 +16,7 @@ import torch
 import torch.nn.functional as F
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
+from policies.methods import METHODS
 from policies.networks.build import ENTRANCES, build
 from policies.networks.maps import Network
 from policies.networks.two_towers import TwoTowerNet
@@ -54,7 +55,9 @@ class Run:
         self._start: dict[str, Any] | None = None
         self._actor = network
         self._learner = Learner(
-            copy.deepcopy(network), config.learning, critic_two=config.critic_two
+            copy.deepcopy(network),
+            config.learning,
+            critic_two=METHODS[config.method].judge is not None,
         )
         file = directory / STATE
         if file.exists():
@@ -199,7 +202,7 @@ class Run:
     def _policy(self, kind: StageKind) -> PolicyConfig:
         """How weights decide in a stage: Critic II has its say once there are two actions to
         choose from."""
-        synergy = "tdpg" if self._config.critic_two else "tdpg-base"
+        synergy = self._config.method
         method = {"grasp": "grasp-only", "push": "tdpg-base", "synergy": synergy}[kind]
         return PolicyConfig(
             network=self._config.network,
