@@ -123,8 +123,8 @@ class Evaluation(_Section):
 class TrainConfig(_Section):
     """width: of the light network, at stride 2; of densenet121, its growth rate. goal: fetch
     objects instead of clearing the table. method: by which the synergy stage decides; where
-    Critic II has no say in it, it is not trained. imagenet: torchvision's densenet121 state dict, which both towers begin with.
-    start: a policy file whose weights the run begins with."""
+    Critic II has no say in it, it is not trained. imagenet: torchvision's densenet121 state
+    dict, which both towers begin with. start: a policy file whose weights the run begins with."""
 
     seed: int = 0
     network: Literal["light", "densenet121"] = "light"
