@@ -220,7 +220,7 @@ def choose_by_critic_two(
     return next(promising, chosen)
 
 
-def choose_most_promising(
+def choose_if_sure(
     _chosen: Choice,
     grasps: Sequence[Choice],
     push: Choice | None,
@@ -228,11 +228,11 @@ def choose_most_promising(
     *,
     least: float,
 ) -> Choice:
-    """The grasp that Critic II believes in most, or the best push when it believes in none by
-    `least`. Critic I has proposed them; which of them it prefers does not matter. Not of the paper.
+    """Critic I's best grasp if Critic II gives it `least` or more, else the best push. Not of the
+    paper, whose rule looks for a better one among ten: the one of ten that looks best is the one
+    that Critic II is most likely to be wrong about.
     """
-    most = int(np.argmax(p_success))
-    return grasps[most] if push is None or p_success[most] >= least else push
+    return grasps[0] if push is None or p_success[0] >= least else push
 
 
 # --- from the map to the world ----------------------------------------------------------------

@@ -18,7 +18,7 @@ from policies.decide import (
     Choice,
     choose_by_critic_one,
     choose_by_critic_two,
-    choose_most_promising,
+    choose_if_sure,
     rising,
 )
 from policies.heightmap import Heightmap
@@ -46,7 +46,7 @@ def highest_value(
     return choose_by_critic_one(grasps, push)
 
 
-SURE = 0.98  # P_success: of the grasps below it four in ten held, in packs, above it all
+SURE = 0.7  # P_success of the best grasp below which tdpg-sure pushes
 OCCUPIED = 0.3  # EPG: part of the goal's border above which it is pushed free first
 WORTHWHILE = 1.0  # EPG: grasp value below which it pushes, in units of the grasp's reward
 BORDER = 5  # pixels; width of the border around the goal
@@ -82,8 +82,6 @@ METHODS = {
         Method(name="epg", choose=free_the_goal),
         Method(name="tdpg-base", choose=highest_value),
         Method(name="tdpg", choose=highest_value, judge=choose_by_critic_two),
-        Method(
-            name="tdpg-sure", choose=highest_value, judge=partial(choose_most_promising, least=SURE)
-        ),
+        Method(name="tdpg-sure", choose=highest_value, judge=partial(choose_if_sure, least=SURE)),
     )
 }
