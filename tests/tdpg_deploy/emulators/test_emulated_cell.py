@@ -192,6 +192,7 @@ def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path:
     with tdpg_run_in_a_terminal(cell, tmp_path, "--step") as terminal:
         terminal.wait_for("Type yes to go on: ")
         terminal.type("yes\n")
+        terminal.wait_for("stops above 15 N")  # the plan is shown
         terminal.wait_for("Go? (y/N) ")
         cell.wait_for_rest()
         assert np.allclose(cell.do("truth")["q"], cell.config.arm.home, atol=1e-3)
@@ -217,6 +218,8 @@ def test_a_protective_stop_is_released_when_a_person_says_so(
     with tdpg_run_in_a_terminal(cell, tmp_path) as terminal:
         terminal.wait_for("Type yes to go on: ")
         terminal.type("yes\n")
+        terminal.wait_for("Go? (y/N) ")
+        terminal.type("y\n")
         cell.wait_for_motion()
         cell.do("protective_stop")
         terminal.wait_for("ProtectiveStop: protective stop: look at the arm")
