@@ -36,7 +36,7 @@ def test_a_step_is_told_in_a_line() -> None:
     )
     assert describe_step(CLOSE) == "  close         pads 0 mm apart, at most 20 N"
     assert describe_step(DESCEND) == (
-        "  descend       tool at 0.500, -0.100, -0.146 m, 0.013 m/s, stops above 15 N"
+        "  descend       tool at 0.500, -0.100, -0.146 m, 0.0125 m/s, stops above 15 N"
     )
 
 
