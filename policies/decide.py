@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.fingers import under_closed_fingers, under_open_fingers
+from policies.fingers import under_closed_gripper, under_open_gripper
 from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS, QMaps
@@ -24,6 +24,8 @@ RISE = 0.010  # m; what stands higher above the table is an object: four sigma o
 NEAR = 0.010  # m; actions closer than this ...
 NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
 PUSH_HALF_WIDTH = 0.010  # m; about half of the closed fingers
+IN_THE_WAY = 0.05  # m from the goal within which others may be lifted or pushed for its sake
+PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
 _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is read from
 
 Mask = npt.NDArray[np.bool_]
@@ -56,22 +58,31 @@ def rising(heightmap: Heightmap) -> Mask:
     return high & (votes >= 5)
 
 
-def graspable(heightmap: Heightmap) -> Mask:
-    """(16, 224, 224): a grasp closes on an object that was seen; on the goal if there is one.
-    Both fingers come down beside it on seen ground, and low enough."""
+def _concerned(heightmap: Heightmap) -> Mask:
+    """(224, 224): all objects; with a goal, it and what is near enough to be in its way."""
     objects = rising(heightmap)
-    if heightmap.goal is not None:
-        objects &= heightmap.goal
-    ground = under_open_fingers(heightmap)
-    half = objects & ground.known & have_room(heightmap.height, ground.highest)
+    if heightmap.goal is None:
+        return objects
+    return objects & (_widest(heightmap.goal.astype(np.float32), round(IN_THE_WAY / PIXEL)) > 0)
+
+
+def graspable(heightmap: Heightmap) -> Mask:
+    """(16, 224, 224): a grasp closes on an object that was seen. Both fingers come down beside it
+    on seen ground, and low enough; nothing of the gripper lands on what stands around. With a
+    goal: on the goal, or where no finger fits beside it, on what surrounds it."""
+    ground = under_open_gripper(heightmap)
+    half = _concerned(heightmap) & ground.known & have_room(heightmap.height, ground.highest)
+    if heightmap.goal is not None and (half & heightmap.goal).any():
+        half &= heightmap.goal
     return np.concatenate((half, half))
 
 
 def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
     """(16, 224, 224): a push starts on seen ground, meets something that stands higher than
-    its start by RISE within `length`, and ends in the workspace."""
-    ground = under_closed_fingers(heightmap)
-    objects = np.where(rising(heightmap), heightmap.height, -np.inf).astype(np.float32)
+    its start by RISE within `length`, and ends well inside of the workspace. With a goal: it
+    meets the goal or what surrounds it."""
+    ground = under_closed_gripper(heightmap)
+    objects = np.where(_concerned(heightmap), heightmap.height, -np.inf).astype(np.float32)
     half_width = round(PUSH_HALF_WIDTH / PIXEL)
     swept = _widest(objects, half_width)
     reach = length / PIXEL
@@ -85,7 +96,7 @@ def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
         for step in steps:
             _take_higher(met, swept, round(-step * up), round(-step * left))
         end_row, end_col = side - reach * up, side - reach * left
-        ends_inside = _in_map(end_row)[:, None] & _in_map(end_col)
+        ends_inside = _well_inside(end_row)[:, None] & _well_inside(end_col)
         higher = met > ground.highest[rotation % HALF_TURN] + RISE
         known = ground.known[rotation % HALF_TURN] & heightmap.valid
         np.logical_and(higher & known, ends_inside, out=mask)
@@ -113,8 +124,9 @@ def _overlap(shift: int) -> tuple[slice, slice]:
     return slice(max(0, -shift), SIZE - max(0, shift)), slice(max(0, shift), SIZE + min(0, shift))
 
 
-def _in_map(pixels: npt.NDArray[np.float64]) -> Mask:
-    return (pixels >= -0.5) & (pixels <= SIZE - 0.5)
+def _well_inside(pixels: npt.NDArray[np.float64]) -> Mask:
+    margin = PUSH_MARGIN / PIXEL - 0.5
+    return (pixels >= margin) & (pixels <= SIZE - 1 - margin)
 
 
 def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> QMaps:

@@ -1,9 +1,10 @@
-"""Where the fingers of a 2F-85 come down, and what is known of the ground there, for all actions
+"""Where a 2F-85 comes down, and what is known of the ground there, for all actions
 at once. The plan of the one that is chosen is checked again, exactly, by whoever moves the arm.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -13,7 +14,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.gripper import CLOSED_FINGERS, FINGER_DEPTH, MAX_UNKNOWN, OPEN_WIDTH, PAD_WIDTH
+from policies.gripper import CLOSED_GRIPPER, MAX_UNKNOWN, OPEN_GRIPPER, Part
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
@@ -23,57 +24,65 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
-    """Under a footprint at each pixel, for eight rotations: the other half repeats them.
+    """Under the gripper at each pixel, for eight rotations: the other half repeats them.
 
-    highest: (8, 224, 224) metres above the table of what was seen; 0 where nothing was.
-    known: (8, 224, 224) whether enough of it was seen.
+    highest: (8, 224, 224) metres above the table below which the closed finger tips would meet
+    something that was seen; 0 where nothing was.
+    known: (8, 224, 224) whether enough was seen of the ground under the fingers.
     """
 
     highest: Map
     known: npt.NDArray[np.bool_]
 
 
-def under_open_fingers(heightmap: Heightmap) -> Ground:
-    """Where both fingers of a grasp at each pixel come down: the higher of both places."""
-    return _under(heightmap, along=FINGER_DEPTH, across=PAD_WIDTH, apart=OPEN_WIDTH + FINGER_DEPTH)
+def under_open_gripper(heightmap: Heightmap) -> Ground:
+    """Where a grasp at each pixel comes down."""
+    return _under(heightmap, OPEN_GRIPPER)
 
 
-def under_closed_fingers(heightmap: Heightmap) -> Ground:
+def under_closed_gripper(heightmap: Heightmap) -> Ground:
     """Where a push at each pixel comes down, its two fingers side by side across the travel."""
-    along, across = CLOSED_FINGERS
-    return _under(heightmap, along=along, across=across, apart=0.0)
+    return _under(heightmap, CLOSED_GRIPPER)
 
 
 _THIN = 2 * PIXEL
 _AROUND = 36  # pixels beyond the map that a finger can touch
 
 
-def _under(heightmap: Heightmap, *, along: float, across: float, apart: float) -> Ground:
-    """Under two rectangles whose centres lie `apart` metres from each other, in the direction of
-    the yaw. Beyond the map lies the table, as the cell's owner vouches."""
+def _under(heightmap: Heightmap, parts: Sequence[Part]) -> Ground:
+    """The ground is known or not under the first of the parts, the one that reaches lowest.
+    Beyond the map lies the table, as the cell's owner vouches."""
     seen = heightmap.valid
-    smooth = cv2.medianBlur(np.where(seen, heightmap.height, np.float32(0)), 3)  # no lone specks
-    smooth = np.pad(smooth, _AROUND)
-    # One thin rectangle after the other covers what the whole one does, for a fourth of the work.
-    lengthwise = _footprints(along - _THIN, _THIN)
-    crosswise = _footprints(_THIN, across - _THIN)
-    unknown = _unknown(seen, along, across)
-    highest = np.empty((HALF_TURN, SIZE, SIZE), np.float32)
-    known = np.empty(highest.shape, np.bool_)
+    filled = np.where(seen, heightmap.height, np.float32(0))
+    smooth: Map = np.pad(cv2.medianBlur(filled, 3), _AROUND)  # no lone specks
+    unknown = _unknown(seen, parts[0])
+    known = np.empty((HALF_TURN, SIZE, SIZE), np.bool_)
     inside = slice(_AROUND, _AROUND + SIZE)
-    for rotation, place in enumerate(_places(apart)):
-        at_each = cv2.dilate(cv2.dilate(smooth, lengthwise[rotation]), crosswise[rotation])
-        highest[rotation] = cv2.dilate(at_each, place)[inside, inside]
-        at_each = cv2.dilate(unknown[rotation], place)
-        known[rotation] = at_each[inside, inside] <= MAX_UNKNOWN
+    for rotation, place in enumerate(_places(parts[0].apart)):
+        known[rotation] = cv2.dilate(unknown[rotation], place)[inside, inside] <= MAX_UNKNOWN
+    highest = np.zeros(known.shape, np.float32)
+    for part in parts:
+        np.maximum(highest, _highest(smooth, part)[:, inside, inside] - part.rise, out=highest)
     return Ground(highest=highest, known=known)
 
 
-def _unknown(seen: npt.NDArray[np.bool_], along: float, across: float) -> Map:
-    """(8, n, n) share of the rectangle around each pixel, those beyond the map too, that was not
-    seen. Counted on pixels of twice the size: a sixteenth of the work, and near enough."""
+def _highest(height: Map, part: Part) -> Map:
+    """(8, n, n) of height (n, n): the maximum under a part at each pixel."""
+    # One thin rectangle after the other covers what the whole one does, for a fourth of the work.
+    lengthwise = _footprints(part.along - _THIN, _THIN)
+    crosswise = _footprints(_THIN, part.across - _THIN)
+    highest = np.empty((HALF_TURN, *height.shape), np.float32)
+    for rotation, place in enumerate(_places(part.apart)):
+        at_each = cv2.dilate(cv2.dilate(height, lengthwise[rotation]), crosswise[rotation])
+        cv2.dilate(at_each, place, highest[rotation])
+    return highest
+
+
+def _unknown(seen: npt.NDArray[np.bool_], part: Part) -> Map:
+    """(8, n, n) share of a part's rectangle around each pixel, those beyond the map too, that was
+    not seen. Counted on pixels of twice the size: a sixteenth of the work, and near enough."""
     unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), _AROUND))
-    footprints = _footprints(along, across, pixel=2 * PIXEL)
+    footprints = _footprints(part.along, part.across, pixel=2 * PIXEL)
     weights = torch.from_numpy(footprints[:, None].astype(np.float32))
     weights /= weights.sum((2, 3), keepdim=True)
     share = F.conv2d(F.avg_pool2d(unseen[None, None], 2), weights, padding="same")

@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
 OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
-PAD_WIDTH = 0.022  # m, 2F-85 manual, section 6.1
-FINGER_DEPTH = 0.018  # m from a pad's face to the finger's back
-# m along and across a push: both closed fingers where they are broadest, 2 mm to spare all around
-CLOSED_FINGERS = 0.030, 0.064
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Of the gripper that points down, as seen from above: a rectangle (m) along and across the
+    yaw of the action, or two whose centres lie `apart` from each other along it.
+
+    rise: metres from the closed finger tips, the lowest place of them all, up to its lower end.
+    """
+
+    along: float
+    across: float
+    apart: float = 0.0
+    rise: float = 0.0
+
+
+# What comes down around a grasp: the finger tips behind their pads (2F-85 manual, section 6.1),
+# the bars that carry them, and the palm. Open tips swing up by 14 mm, and their bars with them.
+OPEN_GRIPPER = (
+    Part(along=0.018, across=0.022, apart=OPEN_WIDTH + 0.018),
+    Part(along=0.024, across=0.026, apart=OPEN_WIDTH + 0.036, rise=0.050),
+    Part(along=0.100, across=0.062, rise=0.067),
+)
+# What comes down for a push, which moves across the fingers, with 2 mm to spare all around: the
+# closed tips side by side, their bars, and the palm.
+CLOSED_GRIPPER = (
+    Part(along=0.026, across=0.032),
+    Part(along=0.030, across=0.064, rise=0.036),
+    Part(along=0.066, across=0.104, rise=0.067),
+)
 MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...
 FLAT = 0.01  # m ... or less, where they come down no higher than this above the table

@@ -123,7 +123,7 @@ def _push(plan: Plan, run: _Run) -> PushOutcome:
 @dataclass(frozen=True, kw_only=True)
 class _Approach:
     """contact: the step that force ended, if any. width: of the pads after they last moved, m.
-    travelled: metres that the tool moved level with the table, below travel height."""
+    travelled: metres that the tool got from where it came down, level with the table."""
 
     contact: str | None
     width: float
@@ -147,16 +147,16 @@ class _Run:
         """All but the last step, until a contact; then the last one, the lift."""
         *ahead, lift = steps
         assert isinstance(lift, MoveLinear)
-        contact, width, travelled, zeroed = None, float("nan"), 0.0, False
+        contact, width, travelled = None, float("nan"), 0.0
+        start = None  # of the guarded motions: at rest in free space above
         for step in ahead:
             if isinstance(step, MoveLinear):
-                if not zeroed:  # at rest in free space, above the first guarded motion
+                if start is None:
                     self.cell.arm.zero_force()
-                    zeroed = True
-                before = self.cell.arm.state().X_base_tool.translation
+                    start = self.cell.arm.state().X_base_tool.translation
                 result = self.linear(step)
-                after = result.state.X_base_tool.translation
-                travelled += float(np.hypot(*(after - before)[:2]))
+                way = result.state.X_base_tool.translation - start
+                travelled = max(travelled, float(np.hypot(*way[:2])))
                 if result.end is MotionEnd.CONTACT:
                     contact = step.name
                     break

@@ -1,4 +1,4 @@
-"""What the heightmap knows of the ground under a finger. Pure."""
+"""Where the gripper comes down, and what the heightmap knows of the ground there. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from policies.gripper import Part
 from policies.heightmap import SIZE, Heightmap
+from policies.primitives import Primitive
 from tdpg_deploy.geometry import Array
 
 _SPACING = 0.001  # m between samples: half a pixel, so that none is missed
@@ -34,6 +36,21 @@ class Rectangle:
 def _grid(side: float) -> Array:
     count = max(2, int(np.ceil(side / _SPACING)) + 1)
     return np.linspace(-side / 2, side / 2, count, dtype=np.float64)
+
+
+def rectangles(part: Part, primitive: Primitive) -> tuple[Rectangle, ...]:
+    """Where a part of the gripper comes down for an action: one place or two."""
+    c, s = np.cos(primitive.yaw), np.sin(primitive.yaw)
+    return tuple(
+        Rectangle(
+            x=primitive.x + offset * c,
+            y=primitive.y + offset * s,
+            yaw=primitive.yaw,
+            along=part.along,
+            across=part.across,
+        )
+        for offset in ((part.apart / 2, -part.apart / 2) if part.apart else (0.0,))
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

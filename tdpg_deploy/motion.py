@@ -8,16 +8,17 @@ A plan is refused here only for want of knowledge, or of room; `safety.check` ju
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from policies.gripper import (
-    CLOSED_FINGERS,
-    FINGER_DEPTH,
+    CLOSED_GRIPPER,
     MAX_UNKNOWN,
+    OPEN_GRIPPER,
     OPEN_WIDTH,
-    PAD_WIDTH,
+    Part,
     have_room,
 )
 from policies.heightmap import Heightmap, Workspace
@@ -25,12 +26,13 @@ from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.errors import PlanRefused
-from tdpg_deploy.footprint import Ground, Rectangle, ground_under
+from tdpg_deploy.footprint import ground_under, rectangles
 from tdpg_deploy.geometry import Array, Transform, top_down
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 
 GRASP_DEPTH = 0.04  # m below the surface that is seen (VPG, robot.py)
 MIN_PUSH = 0.02  # m: less moves nothing
+BACK_OUT = 0.015  # m back after a push: what it wedged between the fingers comes free of them
 TOUCH_MARGIN = 0.02  # m over what was seen: depth, calibration and table_z err by less together
 LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough close to the base
 
@@ -50,15 +52,11 @@ def plan_primitive(primitive: Primitive, heightmap: Heightmap, config: CellConfi
 
 def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
     limits, table_z = config.limits, config.workspace.table_z
-    surface = 0.0
-    for finger in grasp_footprints(grasp):
-        ground = ground_under(heightmap, finger, clear_margin=limits.workspace_margin)
-        _require_known(ground, finger)
-        surface = _highest(surface, ground)
+    surface = _surface(grasp, OPEN_GRIPPER, heightmap, config)
     if not have_room(grasp.z - table_z, surface):
         raise PlanRefused(
-            f"a finger would come down on something {surface:.3f} m high, beside a surface of "
-            f"{grasp.z - table_z:.3f} m: too little to grasp"
+            f"what stands around keeps the finger tips {surface:.3f} m above the table, beside a "
+            f"surface of {grasp.z - table_z:.3f} m: too little to grasp"
         )
 
     z = max(grasp.z - GRASP_DEPTH, table_z + surface + limits.table_clearance)
@@ -83,10 +81,7 @@ def _plan_grasp(grasp: Grasp, heightmap: Heightmap, config: CellConfig) -> Plan:
 
 def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
     limits, table_z = config.limits, config.workspace.table_z
-    start = push_footprint(push)
-    ground = ground_under(heightmap, start, clear_margin=limits.workspace_margin)
-    _require_known(ground, start)
-
+    surface = _surface(push, CLOSED_GRIPPER, heightmap, config)
     length = push.length
     notes: tuple[str, ...] = ()
     room = room_ahead(push, heightmap.workspace)
@@ -100,9 +95,8 @@ def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
         length = room
 
     # Low enough to meet objects at their sides, yet above whatever the tips come down on.
-    surface = _highest(0.0, ground)
     z = table_z + surface + limits.table_clearance
-    x_end, y_end = push.x + length * np.cos(push.yaw), push.y + length * np.sin(push.yaw)
+    back = _along(push, length - BACK_OUT)
     # Closing direction across the travel: the two fingers side by side make a broad front.
     q_above, yaw = _above(push.x, push.y, push.yaw + np.pi / 2, config)
     return Plan(
@@ -111,12 +105,18 @@ def _plan_push(push: Push, heightmap: Heightmap, config: CellConfig) -> Plan:
             _fingers("close", 0.0, config),
             _joints("above", q_above, config),
             *_descent(top_down(push.x, push.y, z, yaw), surface, config),
-            _guarded("push", top_down(x_end, y_end, z, yaw), limits.push_force, config),
-            _lift(x_end, y_end, yaw, config),
+            _guarded("push", top_down(*_along(push, length), z, yaw), limits.push_force, config),
+            _guarded("back", top_down(*back, z, yaw), limits.push_force, config),
+            _lift(*back, yaw, config),
         ),
         retreat=(_joints("home", np.array(config.arm.home), config),),
         notes=notes,
     )
+
+
+def _along(push: Push, length: float) -> tuple[float, float]:
+    """x, y in base that far from its start."""
+    return push.x + length * float(np.cos(push.yaw)), push.y + length * float(np.sin(push.yaw))
 
 
 def plan_homing(X_base_tool: Transform, config: CellConfig) -> tuple[Step, ...]:
@@ -129,30 +129,26 @@ def plan_homing(X_base_tool: Transform, config: CellConfig) -> tuple[Step, ...]:
     return _guarded("raise", raised, config.limits.push_force, config), home
 
 
-# --- footprints -------------------------------------------------------------------------------
+# --- room -------------------------------------------------------------------------------------
 
 
-def grasp_footprints(grasp: Grasp) -> tuple[Rectangle, Rectangle]:
-    """Where the two open fingers come down."""
-    offset = (OPEN_WIDTH + FINGER_DEPTH) / 2
-    c, s = np.cos(grasp.yaw), np.sin(grasp.yaw)
-    first, second = (
-        Rectangle(
-            x=grasp.x + side * c,
-            y=grasp.y + side * s,
-            yaw=grasp.yaw,
-            along=FINGER_DEPTH,
-            across=PAD_WIDTH,
-        )
-        for side in (offset, -offset)
-    )
-    return first, second
-
-
-def push_footprint(push: Push) -> Rectangle:
-    """Where the closed fingers come down, side by side across the travel."""
-    along, across = CLOSED_FINGERS
-    return Rectangle(x=push.x, y=push.y, yaw=push.yaw, along=along, across=across)
+def _surface(
+    primitive: Primitive, parts: Sequence[Part], heightmap: Heightmap, config: CellConfig
+) -> float:
+    """Metres above the table below which the closed tips would meet something that was seen; what
+    was not seen is as high as the table. Raises PlanRefused where the ground under the first part,
+    which reaches lowest, is unknown."""
+    surface = 0.0
+    for part in parts:
+        for place in rectangles(part, primitive):
+            ground = ground_under(heightmap, place, clear_margin=config.limits.workspace_margin)
+            if part is parts[0] and ground.unknown > MAX_UNKNOWN:
+                raise PlanRefused(
+                    f"{ground.unknown:.0%} of the ground under a finger at ({place.x:.3f}, "
+                    f"{place.y:.3f}) m is unknown; at most {MAX_UNKNOWN:.0%} may be"
+                )
+            surface = float(np.fmax(surface, ground.highest - part.rise))
+    return surface
 
 
 def room_ahead(push: Push, workspace: Workspace) -> float:
@@ -165,14 +161,6 @@ def room_ahead(push: Push, workspace: Workspace) -> float:
         if abs(direction) > 1e-9:
             room = min(room, ((high if direction > 0 else low) - position) / direction)
     return max(float(room), 0.0)
-
-
-def _require_known(ground: Ground, finger: Rectangle) -> None:
-    if ground.unknown > MAX_UNKNOWN:
-        raise PlanRefused(
-            f"{ground.unknown:.0%} of the ground under a finger at ({finger.x:.3f}, "
-            f"{finger.y:.3f}) m is unknown; at most {MAX_UNKNOWN:.0%} may be"
-        )
 
 
 # --- steps ------------------------------------------------------------------------------------
@@ -237,11 +225,6 @@ def _descent(X_base_tool: Transform, surface: float, config: CellConfig) -> tupl
         return (slow,)
     above = Transform(X_base_tool.rotation, np.array([x, y, touch_z]))
     return _guarded("lower", above, limits.descend_force, config), slow
-
-
-def _highest(surface: float, ground: Ground) -> float:
-    """The higher of both; what was not seen is as high as the table."""
-    return float(np.fmax(surface, ground.highest))
 
 
 def _guarded(name: str, X_base_tool: Transform, force: float, config: CellConfig) -> MoveLinear:

@@ -22,6 +22,10 @@ GRAVITY = 9.81  # m/s^2
 
 # Bullet multiplies the friction of a pair: wood (0.6) on rubber .72, on table .48, on wood .36.
 PAD_FRICTION = 1.2
+# m. A pad's rubber gives way and meets an edge on a patch, not a point: one of radius 4 mm resists
+# turning by .6 of friction, force and radius, the soft finger of Kao and Cutkosky (1992). Bullet
+# multiplies by the object's friction.
+PAD_TORSION = 0.0029
 TABLE_FRICTION = 0.8
 HULL_MARGIN = 0.001  # m, how far Bullet's hulls reach beyond their corners
 ROLLING_DAMPING = (

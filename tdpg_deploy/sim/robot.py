@@ -12,7 +12,7 @@ import pybullet
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.sim.carriers import Carrier
 from tdpg_deploy.sim.links import Joint, gripper_links, tip_retreat
-from tdpg_deploy.sim.physics import PAD_FRICTION, collision_shape
+from tdpg_deploy.sim.physics import PAD_FRICTION, PAD_TORSION, collision_shape
 from tdpg_deploy.sim.pieces import ROBOT, VisiblePiece
 
 _JOINT_TYPES = {
@@ -157,6 +157,7 @@ class Robot:
                 body,
                 index,
                 lateralFriction=PAD_FRICTION if index in (self._left, self._right) else 0.5,
+                spinningFriction=PAD_TORSION if index in (self._left, self._right) else 0.0,
                 linearDamping=0.0,
                 angularDamping=0.0,
                 jointDamping=0.0,

@@ -100,23 +100,28 @@ def random_scene(
     return Scene(objects=tuple(objects))
 
 
-def packed_scene(n: int, workspace: Workspace, rng: np.random.Generator) -> Scene:
+def packed_scene(
+    n: int,
+    workspace: Workspace,
+    rng: np.random.Generator,
+    shapes: Mapping[str, Shape] = SHAPES,
+) -> Scene:
     """n objects of up to three kinds that stand upright in rows, neighbours so close that no finger
     fits between them, the whole of it somewhere and turned somehow. Raises SceneError for n outside
     of 1..9."""
     if not 1 <= n <= MAX_PACKED:
         raise SceneError(f"{n} objects asked for in a pack: ask for 1 to {MAX_PACKED}")
-    names = sorted(SHAPES)
+    names = sorted(shapes)
     room = -1.0
     while room < 0:  # a pack of long ones may be larger than the workspace
         kinds = [
-            (SHAPES[name], Rotation.from_euler("z", np.pi / 2 * rng.integers(2)))
+            (shapes[name], Rotation.from_euler("z", np.pi / 2 * rng.integers(2)))
             for name in rng.choice(names, rng.integers(1, 4))
         ]
-        shapes, turns = zip(*(kinds[rng.integers(len(kinds))] for _ in range(n)), strict=True)
+        chosen, turns = zip(*(kinds[rng.integers(len(kinds))] for _ in range(n)), strict=True)
         boxes = [
             np.ptp(turn.apply(shape.vertices), axis=0)
-            for shape, turn in zip(shapes, turns, strict=True)
+            for shape, turn in zip(chosen, turns, strict=True)
         ]
         corners = _in_rows(boxes, rng)
         across = np.max(
@@ -128,7 +133,7 @@ def packed_scene(n: int, workspace: Workspace, rng: np.random.Generator) -> Scen
     middle = np.array([workspace.x_min, workspace.y_min]) + workspace.side / 2
     middle += rng.uniform(-room, room, 2)
     objects = []
-    for index, (shape, turn, corner) in enumerate(zip(shapes, turns, corners, strict=True)):
+    for index, (shape, turn, corner) in enumerate(zip(chosen, turns, corners, strict=True)):
         low = turn.apply(shape.vertices).min(axis=0)
         place = whole.apply([*(corner - across / 2 - low[:2]), 0.0])
         position = np.array([*(middle + place[:2]), workspace.table_z - low[2]])

@@ -65,6 +65,32 @@ def test_a_grasp_is_allowed_on_the_goal_only() -> None:
     assert not mask[:, 110, 110].any()
 
 
+def test_where_no_finger_fits_beside_the_goal_what_surrounds_it_may_be_lifted() -> None:
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[100:120, 100:120] = True
+    walls = (100, 60, 60, 40, 0.05), (100, 120, 60, 40, 0.05), (120, 100, 40, 20, 0.05)
+    above, far = (60, 100, 40, 20, 0.05), (20, 20, 20, 20, 0.05)
+    mask = graspable(table_with(BLOCK, *walls, above, far, goal=goal))
+    assert not (mask & goal).any()
+    assert mask[4, 88, 110]  # on its upper neighbour
+    assert not mask[:, 70, 110].any()  # the same, but 60 mm from the goal
+    assert not mask[:, 30, 30].any()
+    free = graspable(table_with(BLOCK, *walls[:2], far, goal=goal))
+    assert free[0, 110, 110]
+    assert not (free & ~goal).any()
+
+
+def test_a_push_for_a_goal_meets_the_goal_or_what_surrounds_it() -> None:
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[100:120, 100:120] = True
+    near, far = (100, 130, 20, 20, 0.05), (50, 50, 20, 20, 0.05)
+    mask = pushable(table_with(BLOCK, near, far, goal=goal))
+    assert mask[4, 110, 160]  # from the right into the neighbour
+    assert mask[0, 130, 110]
+    assert not mask[0, 80, 60]
+    assert pushable(table_with(BLOCK, near, far))[0, 80, 60]
+
+
 def test_a_grasp_needs_room_for_both_fingers() -> None:
     wall = (100, 122, 20, 60, 0.05)  # a finger's width away, to the right
     mask = graspable(table_with(BLOCK, wall))
@@ -103,14 +129,14 @@ def test_a_push_from_a_low_block_meets_a_higher_one() -> None:
     assert not mask[8, 110, 110]  # from the higher, down, over the lower
 
 
-def test_a_push_neither_starts_on_unknown_ground_nor_ends_outside() -> None:
-    heightmap = table_with((10, 100, 20, 20, 0.05), BLOCK)
+def test_a_push_neither_starts_on_unknown_ground_nor_ends_near_the_border() -> None:
+    heightmap = table_with((30, 100, 20, 20, 0.05), BLOCK)
     heightmap.height[125:140, :] = np.nan
     mask = pushable(heightmap)
     assert not mask[0, 130, 110]
     assert mask[0, 145, 110]
-    assert not mask[0, 40, 110]  # it would end 10 pixels outside
-    assert mask[0, 50, 110]
+    assert not mask[0, 79, 110]  # it would end 29 pixels from the border: 58 mm
+    assert mask[0, 80, 110]
 
 
 @settings(max_examples=15, deadline=None)

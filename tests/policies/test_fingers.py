@@ -1,17 +1,18 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tables import WORKSPACE, table_with
 
-from policies.fingers import Ground, under_closed_fingers, under_open_fingers
-from policies.gripper import have_room
+from policies.fingers import Ground, under_closed_gripper, under_open_gripper
+from policies.gripper import CLOSED_GRIPPER, OPEN_GRIPPER, Part, have_room
 from policies.heightmap import SIZE, Heightmap
 from policies.policy import ROTATIONS
-from policies.primitives import Grasp, Push
-from tdpg_deploy.footprint import Rectangle, ground_under
-from tdpg_deploy.motion import grasp_footprints, push_footprint
+from policies.primitives import Grasp, Primitive, Push
+from tdpg_deploy.footprint import ground_under, rectangles
 
 pixels = st.integers(0, SIZE - 1)
 rotations = st.integers(0, 7)
@@ -34,17 +35,26 @@ def hills(seed: int) -> Heightmap:
 
 
 def agrees(
-    ground: Ground, seen: Heightmap, at: tuple[int, int, int], *footprints: Rectangle
+    ground: Ground,
+    seen: Heightmap,
+    at: tuple[int, int, int],
+    primitive: Primitive,
+    parts: Sequence[Part],
 ) -> None:
-    """With the footprints sampled finely, one by one, as plans are checked."""
-    exact = [ground_under(seen, footprint, clear_margin=0.1) for footprint in footprints]
-    unknown = max(ground.unknown for ground in exact)
+    """With each part's places sampled finely, one by one, as plans are checked."""
+    exact = [
+        (part, ground_under(seen, place, clear_margin=0.1))
+        for part in parts
+        for place in rectangles(part, primitive)
+    ]
+    unknown = max(ground.unknown for part, ground in exact if part is parts[0])
+    if unknown > 0.35:
+        assert not ground.known[at]
     if unknown < 0.05:
         assert ground.known[at]
-        highest = max(0.0, *(ground.highest for ground in exact))
+    if all(below.unknown < 0.05 for _, below in exact):
+        highest = max(0.0, *(below.highest - part.rise for part, below in exact))
         assert abs(ground.highest[at] - highest) < 0.012
-    elif unknown > 0.35:
-        assert not ground.known[at]
 
 
 @settings(max_examples=60, deadline=None)
@@ -54,15 +64,16 @@ def test_the_ground_is_that_of_the_plan(seed: int, rotation: int, row: int, col:
     x, y = (float(value) for value in WORKSPACE.to_base(row, col))
     yaw = rotation * 2 * np.pi / ROTATIONS
     at = rotation, row, col
-    agrees(under_open_fingers(seen), seen, at, *grasp_footprints(Grasp(x=x, y=y, z=0, yaw=yaw)))
-    agrees(under_closed_fingers(seen), seen, at, push_footprint(Push(x=x, y=y, z=0, yaw=yaw)))
+    grasp, push = Grasp(x=x, y=y, z=0, yaw=yaw), Push(x=x, y=y, z=0, yaw=yaw)
+    agrees(under_open_gripper(seen), seen, at, grasp, OPEN_GRIPPER)
+    agrees(under_closed_gripper(seen), seen, at, push, CLOSED_GRIPPER)
 
 
 def test_a_speck_is_not_ground() -> None:
     seen = table_with()
     seen.height[100, 100] = 0.3
-    assert under_open_fingers(seen).highest.max() == 0.0
-    assert under_closed_fingers(seen).highest.max() == 0.0
+    assert under_open_gripper(seen).highest.max() == 0.0
+    assert under_closed_gripper(seen).highest.max() == 0.0
 
 
 def test_flat_things_may_be_grasped_from_the_table() -> None:

@@ -5,24 +5,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.gripper import OPEN_WIDTH, PAD_WIDTH
+from policies.gripper import CLOSED_GRIPPER, OPEN_GRIPPER, OPEN_WIDTH, Part
 from policies.heightmap import SIZE, Heightmap, Workspace
 from policies.primitives import Grasp, Push
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.errors import PlanRefused
+from tdpg_deploy.footprint import rectangles
 from tdpg_deploy.geometry import Transform, top_down
 from tdpg_deploy.motion import (
     TOUCH_MARGIN,
-    grasp_footprints,
     plan_homing,
     plan_primitive,
-    push_footprint,
     room_ahead,
 )
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
 from tdpg_deploy.safety import check
 
+PADS, BARS, PALM = OPEN_GRIPPER
 CONFIG = load_cell(DEFAULT_CELL)
 TABLE_Z = CONFIG.workspace.table_z
 WORKSPACE = Workspace(
@@ -84,7 +84,7 @@ def test_a_descent_is_slow_from_above_what_is_seen_under_the_fingers() -> None:
     row, col = WORKSPACE.to_pixel(grasp.x, grasp.y)
     seen.height[row - 5 : row + 5, col - 5 : col + 5] = 0.05  # between the fingers
     for ground in (0.0, 0.03):
-        row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[1].x, 0.0)
+        row, col = WORKSPACE.to_pixel(rectangles(PADS, grasp)[1].x, 0.0)
         seen.height[row - 2 : row + 2, col - 2 : col + 2] = ground
         plan = plan_primitive(grasp, seen, CONFIG)
         check(plan, CONFIG)
@@ -160,17 +160,17 @@ def test_gripper_symmetry_saves_half_a_turn() -> None:
 
 
 def test_footprints_stand_outside_of_the_opening_on_both_sides() -> None:
-    first, second = grasp_footprints(Grasp(x=0.5, y=0.0, z=0.0, yaw=np.pi / 2))
+    first, second = rectangles(PADS, Grasp(x=0.5, y=0.0, z=0.0, yaw=np.pi / 2))
     assert first.x == pytest.approx(second.x) == pytest.approx(0.5)
     assert first.y == pytest.approx(-second.y)
     assert first.y - first.along / 2 == pytest.approx(OPEN_WIDTH / 2)
-    assert first.across == PAD_WIDTH
+    assert first.across == PADS.across
 
 
 def test_grasp_is_refused_where_a_finger_would_meet_the_unknown() -> None:
     seen = table()
     grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
-    finger = grasp_footprints(grasp)[0]
+    finger = rectangles(PADS, grasp)[0]
     row, col = WORKSPACE.to_pixel(finger.x, finger.y)
     seen.height[row - 3 : row + 4, col - 3 : col + 4] = np.nan
     with pytest.raises(PlanRefused, match=r"under a finger at \(0.551, 0.000\) m is unknown"):
@@ -182,7 +182,7 @@ def test_grasp_is_refused_where_a_finger_would_meet_the_unknown() -> None:
 def test_a_stray_lost_pixel_does_not_forbid_a_grasp() -> None:
     seen = table()
     grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
-    row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[0].x, 0.0)
+    row, col = WORKSPACE.to_pixel(rectangles(PADS, grasp)[0].x, 0.0)
     seen.height[row, col] = np.nan
     plan_primitive(grasp, seen, CONFIG)
 
@@ -190,20 +190,43 @@ def test_a_stray_lost_pixel_does_not_forbid_a_grasp() -> None:
 def test_a_grasp_is_refused_where_a_finger_would_land_on_a_neighbour() -> None:
     seen = table()
     grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
-    row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[0].x, 0.0)
+    row, col = WORKSPACE.to_pixel(rectangles(PADS, grasp)[0].x, 0.0)
     seen.height[row - 5 : row + 6, col - 6 : col + 7] = 0.04
-    with pytest.raises(PlanRefused, match=r"something 0\.040 m high, beside a surface of 0\.050 m"):
+    with pytest.raises(
+        PlanRefused, match=r"tips 0\.040 m above the table, beside a surface of 0\.050 m"
+    ):
         plan_primitive(grasp, seen, CONFIG)
 
 
 def test_a_grasp_stays_above_a_lower_neighbour() -> None:
     seen = table()
     grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.06, yaw=0.0)
-    row, col = WORKSPACE.to_pixel(grasp_footprints(grasp)[1].x, 0.0)
+    row, col = WORKSPACE.to_pixel(rectangles(PADS, grasp)[1].x, 0.0)
     seen.height[row - 5 : row + 6, col - 6 : col + 7] = 0.03
     descend = linear(plan_primitive(grasp, seen, CONFIG), "descend")
     tips = TABLE_Z + 0.03 + CONFIG.limits.table_clearance
     assert descend.X_base_tool.translation[2] == pytest.approx(tips)
+
+
+@pytest.mark.parametrize(
+    ("part", "x", "y", "rows", "cols"),
+    [(BARS, 0.568, 0.0, 1, 5), (PALM, 0.5, 0.024, 12, 4)],
+    ids=["bar", "palm"],
+)
+def test_what_carries_the_fingers_stays_above_a_taller_neighbour(
+    part: Part, x: float, y: float, rows: int, cols: int
+) -> None:
+    grasp = Grasp(x=0.5, y=0.0, z=TABLE_Z + 0.05, yaw=0.0)
+    seen = table()
+    row, col = WORKSPACE.to_pixel(x, y)
+    tall = seen.height[row - rows : row + rows + 1, col - cols : col + cols + 1]
+    tall[:] = part.rise + 0.02
+    descend = linear(plan_primitive(grasp, seen, CONFIG), "descend")
+    tips = TABLE_Z + 0.02 + CONFIG.limits.table_clearance
+    assert descend.X_base_tool.translation[2] == pytest.approx(tips, abs=1e-6)
+    tall[:] = part.rise + 0.04
+    with pytest.raises(PlanRefused, match=r"tips 0\.040 m above the table"):
+        plan_primitive(grasp, seen, CONFIG)
 
 
 def test_an_unknown_surface_is_refused() -> None:
@@ -217,12 +240,17 @@ def test_an_unknown_surface_is_refused() -> None:
 def test_push_goes_down_beside_and_travels_broadside() -> None:
     push = Push(x=0.45, y=0.05, z=TABLE_Z, yaw=np.pi / 4)
     plan = plan_primitive(push, table(), CONFIG)
-    assert names(plan) == [["close", "above", "lower", "descend", "push", "lift"], [], ["home"]]
-    down, travel = linear(plan, "descend").X_base_tool, linear(plan, "push").X_base_tool
+    assert names(plan) == [
+        ["close", "above", "lower", "descend", "push", "back", "lift"],
+        [],
+        ["home"],
+    ]
+    down, travel, back = (linear(plan, name).X_base_tool for name in ("descend", "push", "back"))
     way = travel.translation - down.translation
     np.testing.assert_allclose(
         way, [0.1 * np.cos(np.pi / 4), 0.1 * np.sin(np.pi / 4), 0.0], atol=1e-9
     )
+    np.testing.assert_allclose(back.translation, down.translation + 0.85 * way, atol=1e-9)
     assert abs(travel.rotation.as_matrix()[:, 0] @ way) < 1e-9
     assert linear(plan, "push").stop_force == CONFIG.limits.push_force
     assert not plan.notes
@@ -269,7 +297,7 @@ def test_room_ahead_ends_on_the_border(x: float, y: float, yaw: float) -> None:
 def test_push_into_the_unknown_may_not_start_there() -> None:
     seen = table()
     push = Push(x=0.45, y=0.0, z=TABLE_Z, yaw=0.0)
-    start = push_footprint(push)
+    (start,) = rectangles(CLOSED_GRIPPER[0], push)
     row, col = WORKSPACE.to_pixel(start.x, start.y)
     seen.height[row - 6 : row + 6, col - 6 : col + 6] = np.nan
     with pytest.raises(PlanRefused, match="unknown"):

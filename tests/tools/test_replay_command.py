@@ -65,12 +65,10 @@ def test_it_begins_where_it_is_told(log: str, capsys: pytest.CaptureFixture[str]
 def test_step_by_step_with_a_jump(
     log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = iter(["3", "q"])
+    answers = iter(["3", "2", "", "q"])
     monkeypatch.setattr("builtins.input", lambda *_: next(answers))
     _, said = run(capsys, log, "--step")
-    assert "step 1" in said
-    assert "step 2" not in said
-    assert "step 3" in said
+    assert re.findall(r"step \d", said) == ["step 1", "step 3", "step 2", "step 3"]
 
 
 def test_two_logs_side_by_side(
@@ -205,7 +203,7 @@ def test_a_video_has_as_many_pictures_as_it_says(
     assert read
     assert picture.shape == (720, 1280, 3)
     assert f"{int(video.get(cv2.CAP_PROP_FRAME_COUNT))} pictures" in said
-    seen = picture[60:410, 10:630].astype(int)
+    seen = picture[60:370, 30:590].astype(int)
     assert np.abs(seen - 128).mean() < 6  # the fake camera's picture is grey
     assert list(tmp_path.iterdir()) == [path]
 

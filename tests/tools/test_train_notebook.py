@@ -37,13 +37,14 @@ def heightmap(*, goal: bool | None = None) -> Heightmap:
     )
 
 
-def maps(best_grasp: float) -> QMaps:
+def maps(best_grasp: float, at: int = 50) -> QMaps:
+    """at: the row of the best grasp; the goal lies in rows and columns 100 to 119."""
     grasp = np.full((ROTATIONS, SIZE, SIZE), -np.inf, np.float32)
-    grasp[:, 50, 60] = best_grasp
+    grasp[:, at, at + 10 if at < 100 else at] = best_grasp
     return QMaps(push=np.zeros_like(grasp), grasp=grasp)
 
 
-def decision(kind: str, best_grasp: float) -> Decision:
+def decision(kind: str, best_grasp: float, at: int = 50) -> Decision:
     x, y = (float(value) for value in WORKSPACE.to_base(110, 110))
     make = Push if kind == "push" else Grasp
     return Decision(
@@ -52,7 +53,7 @@ def decision(kind: str, best_grasp: float) -> Decision:
         row=110,
         col=110,
         q=0.0,
-        maps=maps(best_grasp),
+        maps=maps(best_grasp, at),
         verdict=None,
         seconds={},
     )
@@ -85,12 +86,13 @@ class Trial:
         success: Verdict,
         *,
         best_grasp: float = 0.0,
+        best_at: int = 50,
         goal: bool | None = None,
         gone: Verdict | None = None,
     ) -> Trial:
-        """best_grasp: its value before the action; goal: what is seen of it afterwards; gone: as
-        in `outcome`."""
-        chosen = decision(kind, best_grasp)
+        """best_grasp, best_at: its value before the action, and its row; goal: what is seen of
+        it afterwards; gone: as in `outcome`."""
+        chosen = decision(kind, best_grasp, best_at)
         self.note.intend(chosen, Plan(primitive=chosen.primitive, approach=()), stamp=0.0)
         self._look(goal)
         self.note.conclude(outcome(kind, success, gone=gone), stamp=1.0)
@@ -209,13 +211,27 @@ def test_looks_without_an_action_are_left_out() -> None:
     np.testing.assert_array_equal(transitions["next_look"], [1, -1])
 
 
-def test_bringing_something_else_than_the_goal_is_a_failure() -> None:
+def test_bringing_something_else_than_the_goal_earns_nothing() -> None:
     trial = Trial(goal=True).act("grasp", YES, goal=True).act("grasp", YES, goal=False)
     transitions = trial.end(EndReason.GOAL_REACHED)
     np.testing.assert_array_equal(transitions["reward"], [0, 1])
+    np.testing.assert_array_equal(transitions["grasped"], [1, 1])  # what Critic II is asked
     goals = trial.note.experience().goals
     assert goals is not None
     assert unpack_goal(goals[0]).sum() == 400
+
+
+@pytest.mark.parametrize(("at", "reward", "following"), [(110, 0.5, 1), (50, 0.0, -1)])
+def test_with_a_goal_only_grasps_on_it_make_a_state_better(
+    at: int, reward: float, following: int
+) -> None:
+    """A grasp beside the goal was worth 0.4; after the push one of 0.9 is allowed at `at`."""
+    trial = Trial(PushReward(validated=0.0), goal=True)
+    trial.act("push", YES, best_grasp=0.4, goal=True)
+    trial.act("grasp", YES, best_grasp=0.9, best_at=at, goal=True)
+    transitions = trial.end()
+    (push,) = transitions[transitions["push"]]
+    assert (push["reward"], push["next_look"]) == (pytest.approx(reward), following)
 
 
 def test_only_what_follows_a_push_validates_it() -> None:

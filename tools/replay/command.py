@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 from rich.console import Console
 
@@ -61,8 +62,12 @@ def _walk(args: argparse.Namespace, episode: Episode, console: Console) -> int:
     for shown in episodes:
         show_head(console, shown)
     stepper = Stepper(console, first=args.first, wait=args.step)
-    stepper.show(*((list(telling.tell(step)) for step in shown.steps()) for shown in episodes))
+    stepper.show(*(partial(_told, shown) for shown in episodes))
     return _damage(stepper.damage, console)
+
+
+def _told(episode: Episode) -> Iterator[list[Line]]:
+    return (lines for _, lines in telling.tell_each(episode.steps()))
 
 
 def _damage(damage: list[LogError], console: Console) -> int:
@@ -85,7 +90,7 @@ def _decide_again(args: argparse.Namespace, episode: Episode, console: Console) 
     show_head(console, episode)
     told = _Again(episode, policy, config, again)
     stepper = Stepper(console, first=args.first, wait=args.step)
-    stepper.show(told.lines())
+    stepper.show(told.lines)
     console.rule(style="dim")
     console.print(told.summary(), markup=False, soft_wrap=True)
     damaged = _damage(stepper.damage, console)
@@ -105,13 +110,16 @@ class _Again:
     found: list[Divergence] = field(default_factory=list)
 
     def lines(self) -> Iterator[list[Line]]:
-        logged = Surroundings.of(self.episode.about)
+        self.steps, self.found = 0, []
+        logged, previous = Surroundings.of(self.episode.about), None
         for step in redecide(self.episode, self.policy.decider, self.config):
             divergence = first_divergence(step, logged, self.surroundings)
             self.steps += 1
             if divergence is not None:
                 self.found.append(divergence)
-            yield [*telling.tell(step.step), *telling.tell_again(step, divergence)]
+            told = telling.tell(step.step, previous)
+            yield [*told, *telling.tell_again(step, divergence)]
+            previous = step.step
 
     def diverged(self) -> bool:
         """On another processor, what stays within the tolerance is the same."""

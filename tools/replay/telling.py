@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import isfinite
 
 import numpy as np
@@ -12,6 +12,7 @@ from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.entries import LoggedDecision, Step
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.outcome import GraspOutcome, Outcome, Verdict
+from tools.audit.actions import explain_action
 from tools.replay.divergence import Divergence
 from tools.replay.redecide import Proposal, Redecision
 from tools.replay.reenact import ALIKE, Tried
@@ -22,8 +23,19 @@ WORDS = {Verdict.YES: "success", Verdict.NO: "failed", Verdict.UNKNOWN: "unclear
 Line = tuple[str, str]  # a label, and what it says
 
 
-def tell(step: Step) -> Iterator[Line]:
-    """The lines of one step, in the order in which things happened."""
+def tell_each(steps: Iterable[Step]) -> Iterator[tuple[Step, list[Line]]]:
+    """Each step with its lines. At damage, the LogError of `steps` comes after what lies before."""
+    previous = None
+    for step in steps:
+        yield step, list(tell(step, previous))
+        previous = step
+
+
+def tell(step: Step, previous: Step | None = None) -> Iterator[Line]:
+    """The lines of one step, in the order in which things happened; last, why it failed.
+
+    previous: the step before, to see repetitions.
+    """
     yield "seen", "the look is lost" if step.look is None else seen(step.look.heightmap)
     for refusal in step.refusals:
         yield "refused", f"{action(refusal.decision.primitive)}: {refusal.reason}"
@@ -40,6 +52,8 @@ def tell(step: Step) -> Iterator[Line]:
     else:
         yield "measured", measured(step.outcome)
         yield "outcome", WORDS[step.outcome.success]
+        for finding in explain_action(step, previous):
+            yield "why", f"{finding.cause.value}: {finding.evidence}"
 
 
 def seen(heightmap: Heightmap) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import zip_longest
 
 from rich.console import Console
@@ -21,6 +21,7 @@ STYLES = {
     "refused": "yellow",
     "differs": "red",
     "cause": "red",
+    "why": "red",
     "again": "cyan",
 }
 
@@ -48,32 +49,39 @@ class Stepper:
         self._first = first
         self._wait = wait
 
-    def show(self, *columns: Iterable[list[Line]]) -> None:
-        """Each column gives the lines of one step after the other. A column that breaks off with
-        a LogError ends there; the errors are kept in `damage`."""
-        sound = [self._until_damage(column) for column in columns]
+    def show(self, *columns: Callable[[], Iterable[list[Line]]]) -> None:
+        """Each column, when called, gives the lines of one step after the other, from the first.
+        One that breaks off with a LogError ends there; the errors are kept in `damage`."""
+        first: int | None = self._first
+        while first is not None:
+            self.damage.clear()
+            first = self._play(first, [self._until_damage(column()) for column in columns])
+
+    def _play(self, first: int, columns: list[Iterator[list[Line]]]) -> int | None:
+        """From step `first` on. Returns the step to go back to, None if that was all."""
         number = 0
-        for number, told in enumerate(zip_longest(*sound, fillvalue=None), start=1):
-            if number < self._first:
+        for number, told in enumerate(zip_longest(*columns, fillvalue=None), start=1):
+            if number < first:
                 continue
             self.console.rule(f"step {number}", align="left", style="dim")
             self.console.print(_side_by_side(told))
-            if self._wait and not self._goes_on(number):
-                return
-        if number < self._first:
+            if not self._wait:
+                continue
+            answer = self.console.input("[dim]Enter: next, a number: go there, q: quit[/] ").strip()
+            if answer == "q":
+                return None
+            first = int(answer) if answer.isdecimal() else number + 1
+            if first <= number:
+                return first
+        if number < first and first != number + 1:
             self.console.print(f"the log has {number} steps")
+        return None
 
     def _until_damage(self, steps: Iterable[list[Line]]) -> Iterator[list[Line]]:
         try:
             yield from steps
         except LogError as error:
             self.damage.append(error)
-
-    def _goes_on(self, number: int) -> bool:
-        answer = self.console.input("[dim]Enter: next, a number: go there, q: quit[/] ").strip()
-        if answer.isdecimal():
-            self._first = max(int(answer), number + 1)
-        return answer != "q"
 
 
 def _side_by_side(told: tuple[list[Line] | None, ...]) -> Table:

@@ -14,7 +14,9 @@ from tdpg_deploy.episode_log.entries import Step
 from tdpg_deploy.episode_log.pictures import draw_action, draw_goal, enlarge
 from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.errors import ConfigError, LogError
+from tdpg_deploy.outcome import Verdict
 from tools.replay import telling
+from tools.replay.telling import Line
 
 Picture = npt.NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -23,17 +25,25 @@ FPS = 15
 LONGEST = 600.0  # s of a motion that are shown
 HOLD = 1.0  # s of the video before and after each motion
 WIDTH, HEIGHT = 1280, 720
+SIDE = 320  # of heightmap and action values, and the height of the camera's picture
 TOP = 56  # of the pictures
-SEEN = (640, 360)  # the camera's picture
-MAP = 320  # heightmap and action values
-CHART = (24, 440, 1232, 130)  # left, top, width, height
+COLUMNS = ((24, 569), (605, SIDE), (937, SIDE))  # left, width
+CHART = (72, 424, 1136, 124)  # left, top, width, height
 MAX_FORCE, MAX_WIDTH = 60.0, 0.085  # N and m, at the chart's upper edge
+TEXT, LINE, LINES = 604, 25, 5  # foot of the first line, height of each, how many
+ROOM = 125  # letters in a line
 
 PAPER: Color = (24, 26, 30)
+GRID: Color = (58, 62, 68)
 INK: Color = (232, 232, 228)
 FADED: Color = (140, 144, 150)
 FORCE: Color = (236, 110, 90)
 FINGERS: Color = (96, 170, 240)
+OUTCOMES: dict[str, Color] = {
+    telling.WORDS[Verdict.YES]: (96, 200, 130),
+    telling.WORDS[Verdict.NO]: (236, 110, 90),
+    telling.WORDS[Verdict.UNKNOWN]: (232, 190, 90),
+}
 
 
 def write_video(
@@ -75,17 +85,17 @@ def pictures(
 ) -> Iterator[Picture]:
     """(720, 1280, 3) RGB, FPS a second."""
     try:
-        for number, step in enumerate(episode.steps(), start=1):
+        for number, (step, lines) in enumerate(telling.tell_each(episode.steps()), start=1):
             if number >= first:
-                yield from _step(step, f"{episode.path.name}   step {number}", speed)
+                yield from _step(step, lines, f"{episode.path.stem}   step {number}", speed)
     except LogError as error:
         on_damage(error)
 
 
-def _step(step: Step, title: str, speed: float) -> Iterator[Picture]:
+def _step(step: Step, lines: list[Line], title: str, speed: float) -> Iterator[Picture]:
     page = _page(step, title)
-    before = [line for line in telling.tell(step) if line[0] in ("refused", "decided", "planned")]
-    after = [line for line in telling.tell(step) if line[0] in ("measured", "outcome")]
+    before = [line for line in lines if line[0] in ("refused", "decided", "planned")]
+    after = [line for line in lines if line[0] in ("measured", "outcome", "why")]
     held = round(HOLD * FPS)
     decided = _with_lines(page, before)
     yield from [decided] * held
@@ -102,40 +112,55 @@ def _step(step: Step, title: str, speed: float) -> Iterator[Picture]:
 def _page(step: Step, title: str) -> Picture:
     """All that does not move during a step."""
     page = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)
-    _write(page, title, (24, 36), INK, 0.7)
+    _write(page, title, (24, 38), INK, 0.7)
     primitive = None if step.intent is None else step.intent.decision.primitive
+    is_push = isinstance(primitive, Push)
+    camera, seen, values = COLUMNS
     if step.look is not None:
-        _place(page, step.look.frame.color, (0, TOP), SEEN)
-        seen = enlarge(step.look.heightmap.color)
+        _place(page, step.look.frame.color, camera)
+        picture = enlarge(step.look.heightmap.color)
         if step.look.heightmap.goal is not None:
-            draw_goal(seen, step.look.heightmap.goal)
+            draw_goal(picture, step.look.heightmap.goal)
         if primitive is not None:
-            draw_action(seen, primitive, step.look.heightmap.workspace)
-        _place(page, seen, (SEEN[0], TOP), (MAP, MAP))
+            draw_action(picture, primitive, step.look.heightmap.workspace)
+        _place(page, picture, seen)
     if step.q_pictures is not None:
-        is_push = isinstance(primitive, Push)
-        values = step.q_pictures.push if is_push else step.q_pictures.grasp
-        _place(page, values, (SEEN[0] + MAP, TOP), (MAP, MAP))
-        _write(page, f"value of {'pushes' if is_push else 'grasps'}", (968, 400), FADED, 0.5)
-    _write(page, "heightmap and action", (648, 400), FADED, 0.5)
-    left, top, width, height = CHART
-    cv2.rectangle(page, (left, top), (left + width, top + height), FADED, 1)
-    _write(page, f"force, to {MAX_FORCE:.0f} N", (left + 8, top + 18), FORCE, 0.45)
-    _write(page, f"fingers, to {1000 * MAX_WIDTH:.0f} mm", (left + 150, top + 18), FINGERS, 0.45)
+        _place(page, step.q_pictures.push if is_push else step.q_pictures.grasp, values)
+    captions = ("camera", "heightmap and action", f"value of {'pushes' if is_push else 'grasps'}")
+    for caption, (left, _) in zip(captions, COLUMNS, strict=True):
+        _write(page, caption, (left, TOP + SIDE + 22), FADED, 0.5)
+    _draw_axes(page, step)
     return page
 
 
-def _place(page: Picture, picture: Picture, at: tuple[int, int], size: tuple[int, int]) -> None:
-    x, y = at
-    width, height = size
-    page[y : y + height, x : x + width] = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+def _draw_axes(page: Picture, step: Step) -> None:
+    left, top, width, height = CHART
+    right, bottom = left + width, top + height
+    cv2.rectangle(page, (left, top), (right, bottom), GRID, 1)
+    seconds = step.tool_path[-1].stamp - step.tool_path[0].stamp if step.tool_path else 0.0
+    for second in range(1, int(min(seconds, LONGEST)) + 1):
+        x = left + round(width * second / seconds)
+        cv2.line(page, (x, top), (x, bottom), GRID, 1)
+    _write(page, f"{MAX_FORCE:.0f} N", (24, top + 10), FORCE, 0.45)
+    _write(page, "force", (24, bottom), FORCE, 0.45)
+    _write(page, f"{1000 * MAX_WIDTH:.0f} mm", (right + 8, top + 10), FINGERS, 0.45)
+    _write(page, "fingers", (right + 8, bottom), FINGERS, 0.45)
+    if seconds:
+        _write(page, f"{seconds:.1f} s", (right - 46, bottom + 18), FADED, 0.45)
 
 
-def _with_lines(page: Picture, lines: list[telling.Line]) -> Picture:
+def _place(page: Picture, picture: Picture, column: tuple[int, int]) -> None:
+    left, width = column
+    small = cv2.resize(picture, (width, SIDE), interpolation=cv2.INTER_AREA)
+    page[TOP : TOP + SIDE, left : left + width] = small
+
+
+def _with_lines(page: Picture, lines: list[Line]) -> Picture:
     written = page.copy()
-    for row, (label, text) in enumerate(lines[-5:]):
-        _write(written, label, (24, 602 + 25 * row), FADED, 0.5)
-        _write(written, text[:140], (120, 602 + 25 * row), INK, 0.5)
+    for row, (label, text) in enumerate(lines[-LINES:]):
+        foot = TEXT + LINE * row
+        _write(written, label, (24, foot), FADED, 0.5)
+        _write(written, text[:ROOM], (112, foot), OUTCOMES.get(text, INK), 0.5)
     return written
 
 

@@ -33,6 +33,7 @@ class Stage(_Section):
     min_objects: int = Field(10, ge=1, le=30)
     max_objects: int = Field(10, ge=1, le=30)
     packed: float = Field(0.0, ge=0, le=1, description="share of tables that are one tight pack")
+    odd: float = Field(0.0, ge=0, le=1, description="share of tables of stones and stumps")
 
     @model_validator(mode="after")
     def _least_is_not_above_most(self) -> Stage:

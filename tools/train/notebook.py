@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +33,8 @@ class Experience:
 
 @dataclass(kw_only=True)
 class _Step:
-    """An action and what is known of it so far. value: of the best grasp when it was chosen.
-    idle: it was a push that moved nothing."""
+    """An action and what is known of it so far. value: of the best grasp, of the goal if there is
+    one, when it was chosen. idle: it was a push that moved nothing."""
 
     transition: npt.NDArray[np.void]
     decision: Decision
@@ -92,7 +92,7 @@ class Notebook(NullRecorder):
             transition=transition,
             decision=decision,
             before=self._seen,
-            value=float(decision.maps.grasp.max()),
+            value=float(_of_goal(decision.maps, self._seen).grasp.max()),
         )
 
     def conclude(self, outcome: Outcome, *, stamp: float) -> None:
@@ -104,8 +104,9 @@ class Notebook(NullRecorder):
             step.idle = success is Verdict.NO
             step.transition["reward"] = self._reward.changed * (success is Verdict.YES)
         else:
-            success = self._of_goal(step, success)
-            step.transition["reward"] = step.transition["grasped"] = success is Verdict.YES
+            step.transition["grasped"] = success is Verdict.YES
+            success = self._fetched(step, success)
+            step.transition["reward"] = success is Verdict.YES
         if self._last is not None and self._last.is_push:
             self._validate(self._last, step, success)
         if step.is_push or success is not Verdict.UNKNOWN:
@@ -156,8 +157,8 @@ class Notebook(NullRecorder):
     def _latest(self) -> int:
         return len(self._heights) - 1
 
-    def _of_goal(self, step: _Step, success: Verdict) -> Verdict:
-        """A grasp that was to fetch the goal and brought something else has failed."""
+    def _fetched(self, step: _Step, success: Verdict) -> Verdict:
+        """With a goal, a grasp that brought something else earns nothing by itself."""
         if success is not Verdict.YES or step.before.goal is None:
             return success
         fetched = took_goal(step.decision.primitive, step.before, self.last_seen)
@@ -166,6 +167,7 @@ class Notebook(NullRecorder):
     def _follow(self, step: _Step, maps: QMaps) -> None:
         """Write down which grasps are best now (paper, eq. 1), and whether the best one is
         better than before (eq. 3)."""
+        maps = _of_goal(maps, self.last_seen)
         grasps = [(g.rotation, g.row, g.col) for g in best_grasps(maps, self._rng)]
         if grasps:  # repeat the best to fill up: the maximum stays the same
             grasps += [grasps[0]] * (CANDIDATES - len(grasps))
@@ -187,6 +189,13 @@ class Notebook(NullRecorder):
 
     def _share(self, push: _Step) -> float:
         return self._reward.idle if push.idle else 1.0
+
+
+def _of_goal(maps: QMaps, seen: Heightmap) -> QMaps:
+    """Without the grasps that would only clear the way to the goal."""
+    if seen.goal is None:
+        return maps
+    return replace(maps, grasp=np.where(seen.goal, maps.grasp, np.float32(-np.inf)))
 
 
 def _taught(outcome: Outcome) -> Verdict:

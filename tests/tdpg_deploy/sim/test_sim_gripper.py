@@ -4,6 +4,7 @@ import numpy as np
 import pybullet
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 from small_cells import (
     CARRIERS,
     MOCK,
@@ -18,11 +19,13 @@ from small_cells import (
 )
 
 from tdpg_deploy.errors import DeviceTimeout, GripperError
+from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Holding
 from tdpg_deploy.sim.arm import SimArm
-from tdpg_deploy.sim.bodies import SHAPES
+from tdpg_deploy.sim.bodies import SHAPES, Shape, box
 from tdpg_deploy.sim.gripper import SimGripper
-from tdpg_deploy.sim.scenes import Scene
+from tdpg_deploy.sim.physics import GRAVITY, PAD_FRICTION
+from tdpg_deploy.sim.scenes import Scene, SceneObject
 from tdpg_deploy.sim.world import Where, World
 
 
@@ -89,6 +92,46 @@ def test_both_fingers_move_alike() -> None:
         width = reach(arm, gripper, 0.5, 0.0, 0.012, 0.0)
         assert_allclose(width, 0.05, atol=0.002)
         assert_allclose(world.objects()[0].X_base_object.translation[0], 0.5, atol=0.002)
+
+
+@pytest.mark.parametrize(("share", "holds"), [(0.8, True), (1.25, False)])
+def test_pads_resist_turning_up_to_a_soft_fingers_torque(share: float, holds: bool) -> None:
+    """A lever held at two points: 2 x .6 x friction x force x 4 mm is all that they can bear."""
+    tips = 0.02 * np.vstack([np.eye(3), -np.eye(3)])
+    lever = Shape.from_hulls("lever", [tips, box(0.06, 0.01, 0.01, center=(0.05, 0, 0))])
+    middle = lever.pieces[0].vertices.mean(axis=0)  # of the two points, seen from the mass
+    friction, force = 0.6, 20.0
+    limit = 2 * 0.6 * PAD_FRICTION * friction * force * 0.004
+    mass = share * limit / (GRAVITY * -middle[0])
+    simulation = {"friction": friction, "density": mass / lever.volume}
+    gantry = cell("gantry")
+    config = gantry.model_copy(
+        update={"simulation": gantry.simulation.model_copy(update=simulation)}
+    )
+    start = Transform(Rotation.identity(), np.array([0.5, 0.0, TABLE + 0.05]))
+    item = SceneObject(shape=lever, X_base_object=start, rgb=(0, 0, 0))
+    world = World(config, Scene(objects=(item,)), seed=0)
+    arm, gripper = SimArm(world), SimGripper(world)
+    gripper.activate()
+    travel(arm, pointing_down(0.5, 0, 0.2, np.pi / 2))
+    tool = pointing_down(0.5, 0, 0.2 + 0.01).translation  # the pads' middle
+    pybullet.changeDynamics(
+        world.bodies[0],
+        -1,
+        activationState=pybullet.ACTIVATION_STATE_WAKE_UP,
+        physicsClientId=world.client,
+    )
+    pybullet.setGravity(0, 0, 0, physicsClientId=world.client)  # of what is awake
+    pybullet.resetBasePositionAndOrientation(
+        world.bodies[0], (tool - middle).tolist(), (0, 0, 0, 1), physicsClientId=world.client
+    )
+    gripper.move(0, speed=0.15, force=force)
+    pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+    world.clock.sleep(1.0)
+    (held,) = world.objects()
+    world.close()
+    drop = -np.degrees(np.arcsin(held.X_base_object.rotation.as_matrix()[2, 0]))
+    assert (drop < 2) == holds
 
 
 def test_speed_and_force_are_clamped() -> None:
