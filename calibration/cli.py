@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
     )
     solve.add_argument("--lens", type=Path, metavar="FILE", help="YAML: fx, fy, cx, cy, ...")
     _add_mounting(solve)
-    solve.add_argument("--serial", default="unknown", help="of the camera")
+    solve.add_argument("--serial", help="of the camera; a record holds it")
     solve.add_argument("--arm-serial", metavar="SERIAL", help="kept in the file")
     solve.add_argument(
         "--table", type=Path, metavar="FILE", help="a picture of the table with its tags"

@@ -23,7 +23,7 @@ from calibration.views import Mounting
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
 
-SETTLE = 0.4  # s from the end of a motion to a picture; a UR5 with a board swings for less
+SETTLE = 0.4  # s from the end of a motion to a picture; an arm with a board swings for less
 
 OnProgress = Callable[[Progress], None]
 

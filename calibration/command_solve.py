@@ -34,6 +34,7 @@ from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.hal import Intrinsics
 
 T = TypeVar("T")
+UNKNOWN = "unknown"  # serial number
 TABLE_OFF, TABLE_TILTED = 3e-3, np.deg2rad(0.5)  # beyond, the cell file and the camera disagree
 
 
@@ -123,6 +124,12 @@ def run_solve(args: argparse.Namespace, console: Console) -> int:
             "tdpg-run will not notice a moved camera",
             style="yellow",
         )
+    if taken.mounting is Mounting.EYE_TO_HAND and taken.serial == UNKNOWN:
+        console.print(
+            "the camera's serial number is not known, so tdpg-run will refuse this calibration: "
+            "give --serial",
+            style="yellow",
+        )
     console.print(f"{args.out}, {args.report}", soft_wrap=True)
     return 0
 
@@ -141,7 +148,7 @@ def from_folder(args: argparse.Namespace) -> Taken:
         views=views,
         rejected={picture.name: picture.problems for picture in rejected},
         lens=lens,
-        serial=args.serial,
+        serial=args.serial or UNKNOWN,
         pictures={view.name: read_picture(args.images / view.name, lens) for view in views},
         depths={},
         table_picture=None if args.table is None else read_picture(args.table, lens),

@@ -82,13 +82,14 @@ def _verify(args: argparse.Namespace, console: Console) -> int:
             height=height,
         )
     except CalibrationError as error:
-        console.print(str(error), style="red", markup=False)
+        console.print(str(error), style="red", markup=False, soft_wrap=True)
         return 1
     quality = calibration.quality
     console.print(
         f"{args.file}: {calibration.mounting}, {calibration.date:%Y-%m-%d}, "
         f"{quality.position_sd * 1e3:.3f} mm, {np.rad2deg(quality.rotation_sd):.4f} deg, "
-        f"{quality.views_used} views: applies"
+        f"{quality.views_used} views: applies",
+        soft_wrap=True,
     )
     return 0
 

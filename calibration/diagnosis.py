@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from calibration import closed_form
 from calibration.closed_form import Start
-from calibration.views import Mounting, View
+from calibration.projection import Estimate
+from calibration.views import Mounting, PoseNoise, View
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.hal import Intrinsics
 
 LEAST_VIEWS = 5
 GOOD_VIEWS = 12
@@ -22,6 +24,8 @@ REACH = 5.0  # m; no arm with a gripper and a tripod needs more
 LEAST_SPREAD = np.deg2rad(4.0)  # rms turn about the second axis of the set
 LEAST_SHARE = 0.5
 BOARD_TOLERANCE = 0.03  # a printer is off by less
+FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.025, 25.0  # 1, px; a factory's intrinsics are off by less
+LOOSE_ARM = 0.3e-3  # m; ten times what a UR repeats to
 
 
 def check_views(views: Sequence[View], board_corners: int) -> None:
@@ -225,19 +229,41 @@ def check_share(used: npt.NDArray[np.bool_]) -> None:
     if used.mean() < LEAST_SHARE or used.sum() < LEAST_VIEWS:
         raise CalibrationError(
             f"only {int(used.sum())} of {len(used)} views agree with each other, and no single "
-            "known mistake explains the rest. Check: rotations in radians, not degrees; each pose "
-            "read with the arm at rest and for its own picture; the board rigid where it is "
-            "mounted; the intrinsics of this camera at this resolution"
+            "known mistake explains the rest. Check: rotations in radians, not degrees, nor as "
+            "roll, pitch, yaw; each pose read with the arm at rest and for its own picture; the "
+            "board rigid where it is mounted; the intrinsics of this camera at this resolution"
         )
 
 
 def check_outcome(
-    views: Sequence[View], used: npt.NDArray[np.bool_], scale: float, mounting: Mounting
+    views: Sequence[View],
+    used: npt.NDArray[np.bool_],
+    found: Estimate,
+    given: Intrinsics,
 ) -> None:
     """What was found is possible."""
     check_spread([view for view, use in zip(views, used, strict=True) if use])
-    if abs(scale - 1) > BOARD_TOLERANCE:
+    lens = found.intrinsics
+    focal = max(lens.fx / given.fx - 1, lens.fy / given.fy - 1, key=abs)
+    centre = float(np.hypot(lens.cx - given.cx, lens.cy - given.cy))
+    if abs(focal) > FOCAL_TOLERANCE or centre > CENTRE_TOLERANCE:
         raise CalibrationError(
-            f"the board measures {scale:.3f} of the size given ({mounting.value}): "
+            "the intrinsics given are not those of these pictures: the views ask for a focal "
+            f"length changed by {focal:+.1%} or more, and a centre {centre:.0f} px away; give this "
+            "camera's own, at this resolution"
+        )
+    if abs(found.scale - 1) > BOARD_TOLERANCE:
+        raise CalibrationError(
+            f"the board measures {found.scale:.3f} of the size given: "
             "measure a row of its squares, and give that length"
         )
+
+
+def notes_on_arm(noise: PoseNoise) -> list[str]:
+    """What a pose noise (standard deviation) that no arm has at rest may come from."""
+    if noise.translation <= LOOSE_ARM:
+        return []
+    return [
+        f"the poses err by {noise.translation * 1e3:.1f} mm, a UR repeats to 0.03 mm: are they the "
+        "controller's own, and not from nominal kinematics? Was the board or the camera loose?"
+    ]

@@ -53,9 +53,11 @@ def read_views(
 
 def read_picture(path: Path, lens: Intrinsics) -> npt.NDArray[np.uint8]:
     """(H, W) grey. Raises CalibrationError."""
+    if not path.is_file():
+        raise CalibrationError(f"{path}: there is no such picture")
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
-        raise CalibrationError(f"{path}: no picture, or not readable; the pose table names it")
+        raise CalibrationError(f"{path}: not a picture that can be read; give PNG or JPEG")
     if picture.shape != (lens.height, lens.width):
         raise CalibrationError(
             f"{path}: {picture.shape[1]} x {picture.shape[0]} pixels, but the intrinsics are for "
@@ -137,19 +139,23 @@ def read_lens(path: Path) -> Intrinsics:
         pinhole = tuple(float(data[name]) for name in ("fx", "fy", "cx", "cy"))
         return _lens(size, pinhole, [float(v) for v in data.get("distortion", [])])
     except (KeyError, TypeError, ValueError, IndexError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise CalibrationError(
-            f"{path}: {error} is missing or no number; give width, height, fx, fy, cx, cy and "
-            "distortion [k1, k2, p1, p2, k3]"
+            f"{path}: {what}; give width, height, fx, fy, cx, cy and distortion "
+            "[k1, k2, p1, p2, k3]"
         ) from error
 
 
 def _lens(size: tuple[int, int], pinhole: Sequence[float], distortion: list[float]) -> Intrinsics:
     if len(distortion) > 5 and any(distortion[5:]):
-        raise ValueError("a distortion of more than five terms")
+        raise ValueError("the distortion has more than five terms")
     k1, k2, p1, p2, k3 = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
     fx, fy, cx, cy = pinhole
     if not (fx > 0 and fy > 0 and 0 < cx < size[0] and 0 < cy < size[1]):
-        raise ValueError(f"a principal point ({cx}, {cy}) in the picture, and focal lengths > 0")
+        raise ValueError(
+            f"focal lengths ({fx}, {fy}) and a principal point ({cx}, {cy}) do not belong to "
+            f"pictures of {size[0]} x {size[1]}"
+        )
     return Intrinsics(
         width=size[0],
         height=size[1],

@@ -78,7 +78,7 @@ def lay_out(target: CharucoTarget) -> Sheet:
     fitting = [size for size in PAPER.values() if least[0] <= size[0] and least[1] <= size[1]]
     page = fitting[0] if fitting else (max(least[0], RULER + 2 * MARGIN), least[1])
     corner = np.array([(page[0] - width) / 2, (page[1] - height) / 2])
-    y = page[1] - 0.008
+    y = page[1] - 0.012  # the text below stays clear of the 5 mm that printers leave white
     ruler = [[corner[0], y, corner[0] + RULER, y + 0.0003]]
     ruler += [
         [corner[0] + x - 0.00015, y - 0.003, corner[0] + x + 0.00015, y]

@@ -136,7 +136,7 @@ def solve(
     diagnosis.check_spread([view for view, use in zip(views, used, strict=True) if use])
     freedom = _choose(choices, wide.estimate, nominal, seen.take(used), noise)
     final, noise, used = _gated(wide.estimate, nominal, seen, prior_noise, freedom, used=used)
-    diagnosis.check_outcome(views, used, final.estimate.scale, mounting)
+    diagnosis.check_outcome(views, used, final.estimate, intrinsics)
     return _result(final, noise, used, views, seen, mounting, prior_noise, notes)
 
 
@@ -226,6 +226,9 @@ def _result(
     rms = np.sqrt((residuals**2).sum(axis=1) / (seen.counts / 2))
     ratios = chi_squares(estimate, seen, noise) / seen.counts
     factor = float(np.sqrt(noise.pose[3])) / prior_noise.translation
+    pose_noise = PoseNoise(
+        translation=factor * prior_noise.translation, rotation=factor * prior_noise.rotation
+    )
     covariance = final.covariance()
     return HandEye(
         mounting=mounting,
@@ -238,14 +241,12 @@ def _result(
         board_scale=estimate.scale,
         scale_refined=final.freedom.scale,
         pixel_noise=noise.pixel,
-        pose_noise=PoseNoise(
-            translation=factor * prior_noise.translation, rotation=factor * prior_noise.rotation
-        ),
+        pose_noise=pose_noise,
         views=tuple(
             ViewResult(name=view.name, used=bool(u), rms=float(e), ratio=float(q))
             for view, u, e, q in zip(views, used, rms, ratios, strict=True)
         ),
-        notes=tuple(notes),
+        notes=(*notes, *diagnosis.notes_on_arm(pose_noise)),
     )
 
 

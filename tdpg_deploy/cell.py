@@ -112,7 +112,7 @@ def realsense_camera(section: CameraSection, *, clock: Clock) -> RealsenseCamera
 
     frames = RemoteFrames(*section.emulated)
     source = EmulatedD435(frames, serial=section.serial or EMULATED_SERIAL)
-    source.fault = arriving_late(lambda: frames.age)
+    source.fault = arriving_late(lambda: frames.ages)
     return RealsenseCamera(section, clock=clock, source=source)
 
 

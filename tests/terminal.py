@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from types import TracebackType
 
-LIMIT = 60.0  # s
+LIMIT = 180.0  # s; a loaded machine takes a minute to start a program
 
 
 class Terminal:

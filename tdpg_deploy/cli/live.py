@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import TracebackType
 
+import numpy as np
 from rich.console import Console
 from rich.status import Status
 
@@ -13,7 +14,7 @@ from policies.primitives import Grasp
 from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
 from tdpg_deploy.hal import GripperState, OnArmState, RgbdFrame
 from tdpg_deploy.outcome import GraspOutcome, Outcome, Verdict
-from tdpg_deploy.plan import Plan
+from tdpg_deploy.plan import MoveFingers, MoveJoints, Plan, Step
 
 MARKS = {Verdict.YES: "[green]success[/]", Verdict.NO: "[red]failed[/]", Verdict.UNKNOWN: "unclear"}
 
@@ -46,11 +47,16 @@ class Live:
         """A recorder that shows what it passes on."""
         return _Shown(recorder, self)
 
+    def confirm_first(self, decision: Decision, plan: Plan) -> bool:
+        """Ask before the first action only."""
+        return self._actions > 0 or self.confirm(decision, plan)
+
     def confirm(self, decision: Decision, plan: Plan) -> bool:
-        """Ask before an action; anything but y is a no."""
+        """Show the plan and ask before an action; anything but y is a no."""
         self.status.stop()
-        for note in plan.notes:
-            self.console.print(note, markup=False)
+        steps = (*plan.approach, *plan.delivery, *plan.retreat)
+        for line in (*plan.notes, *map(describe_step, steps)):
+            self.console.print(line, markup=False, soft_wrap=True)
         answer = self.console.input(f"{describe(decision)}. Go? (y/N) ")
         self.status.start()
         return answer.strip().lower() in ("y", "yes")
@@ -87,6 +93,21 @@ def describe(decision: Decision) -> str:
     kind = "grasp" if isinstance(decision.primitive, Grasp) else "push"
     p = decision.primitive
     return f"{kind:5s} at ({p.x:.3f}, {p.y:+.3f}) m  q {decision.q:5.2f}"
+
+
+def describe_step(step: Step) -> str:
+    """Name, goal and limits in a line."""
+    if isinstance(step, MoveFingers):
+        what = f"pads {step.width * 1e3:.0f} mm apart, at most {step.force:.0f} N"
+    elif isinstance(step, MoveJoints):
+        degrees = ", ".join(f"{angle:.0f}" for angle in np.degrees(step.q))
+        what = f"joints at {degrees} deg, {step.speed:.3g} rad/s"
+    else:
+        x, y, z = step.X_base_tool.translation
+        what = f"tool at {x:.3f}, {y:.3f}, {z:.3f} m, {step.speed:.3g} m/s"
+        if step.stop_force is not None:
+            what += f", stops above {step.stop_force:.0f} N"
+    return f"  {step.name:13s} {what}"
 
 
 class _Shown:

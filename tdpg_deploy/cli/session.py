@@ -18,6 +18,7 @@ from policies.shipped import NamedPolicy, open_policy
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
 from tdpg_deploy.cli.live import Live
 from tdpg_deploy.cli.recovery import offer_recovery
+from tdpg_deploy.episode import Confirm
 from tdpg_deploy.episode_log.summary import write_summary
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import ConfigError, DeviceError, LogError, TdpgError
@@ -105,12 +106,19 @@ def _run_one(
             scene=scene,
             goal=args.goal,
             watch=live.before,
-            confirm=live.confirm if args.step else None,
+            confirm=_confirmation(args, live),
         )
     picture = path.with_suffix(".png")
     write_summary(path, picture)
     _report(console, result, path, picture)
     return CODES.get(result.reason, SHORT)
+
+
+def _confirmation(args: argparse.Namespace, live: Live) -> Confirm | None:
+    """Whom to ask before an action: the person who stands by, for the first or for each."""
+    if args.step:
+        return live.confirm
+    return live.confirm_first if args.real and not args.unattended else None
 
 
 def choose_scene(args: argparse.Namespace, config: CellConfig, rng: np.random.Generator) -> Scene:
@@ -136,9 +144,9 @@ def slowed(config: CellConfig, share: float) -> CellConfig:
 
 def ask_consent(console: Console, config: CellConfig, policy: NamedPolicy) -> None:
     """Before the real arm moves for the first time. Raises ConfigError without a yes."""
-    limits = config.limits
+    arm, limits = config.arm, config.limits
     console.print(
-        f"The UR5 at {config.arm.host} is going to move: home, then policy {policy.name}.\n"
+        f"The {arm.dh.name} at {arm.host} is going to move: home, then policy {policy.name}.\n"
         f"At most {limits.travel_speed:.2f} m/s in free space, {limits.contact_speed:.2f} m/s near "
         f"objects, {limits.touch_speed:.3f} m/s onto them; it stops above "
         f"{limits.descend_force:.0f} N going down and {limits.push_force:.0f} N pushing.\n"

@@ -8,6 +8,8 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
+
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.emulators.frame_wire import encode
 from tdpg_deploy.hal import Clock, RgbdFrame
@@ -49,6 +51,8 @@ class CameraServer:
         self._clients: set[asyncio.Task[None]] = set()
         self._freezes = False
         self._frozen: tuple[RgbdFrame, float] | None = None  # and when it was drawn
+        self._color_late = 0.0  # s
+        self._without_depth = 0.0  # share of the picture
 
     async def listen(self, host: str, port: int) -> None:
         """Raises OSError when the port is taken."""
@@ -63,9 +67,18 @@ class CameraServer:
         """Send the next picture again and again, as it ages, until `resume`."""
         self._freezes = True
 
+    def tear(self, seconds: float) -> None:
+        """Send colour that is older than its depth, until `resume`."""
+        self._color_late = seconds
+
+    def blind(self, share: float) -> None:
+        """Send no depth in the left `share` of the picture, until `resume`."""
+        self._without_depth = share
+
     def resume(self) -> None:
         self._awake.set()
         self._freezes, self._frozen = False, None
+        self._color_late = self._without_depth = 0.0
 
     async def unplug(self) -> None:
         """Cut off all clients, and refuse others until `listen`."""
@@ -104,9 +117,10 @@ class CameraServer:
         now = time.monotonic()
         if self._frozen is not None:
             frame, drawn_at = self._frozen
-            return encode(frame, age=now - drawn_at)
+            return encode(frame, ages=(now - drawn_at, now - drawn_at))
         self._still.pieces = pieces
         frame = self._camera.capture()
+        frame.depth[:, : round(self._without_depth * frame.depth.shape[1])] = np.nan
         if self._freezes:
             self._frozen = (frame, now)
-        return encode(frame)
+        return encode(frame, ages=(self._color_late, 0.0))

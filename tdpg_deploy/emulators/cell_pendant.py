@@ -75,6 +75,14 @@ class CellPendant(Pendant):
         """The same picture comes for ever, and grows old."""
         self._cell.camera.freeze()
 
+    def camera_tear(self, seconds: float) -> None:
+        """Colour comes so much later than the depth of its pair."""
+        self._cell.camera.tear(seconds)
+
+    def camera_holes(self, share: float) -> None:
+        """The left share of the picture has no depth."""
+        self._cell.camera.blind(share)
+
     async def camera_unplug(self) -> None:
         await self._cell.camera.unplug()
 

@@ -19,10 +19,10 @@ from tdpg_deploy.hal import Intrinsics, RgbdFrame
 DEADLINE = 2.0  # s for a frame
 
 
-def encode(frame: RgbdFrame, *, age: float = 0.0) -> bytes:
-    """age: s since it was exposed."""
+def encode(frame: RgbdFrame, *, ages: tuple[float, float] = (0.0, 0.0)) -> bytes:
+    """ages: s since its colour and its depth were exposed."""
     header = {
-        "age": age,
+        "ages": ages,
         "intrinsics": asdict(frame.intrinsics),
         "captured_at": frame.captured_at,
         "sequence": frame.sequence,
@@ -32,19 +32,21 @@ def encode(frame: RgbdFrame, *, age: float = 0.0) -> bytes:
     return json.dumps(header).encode() + b"\n" + pixels
 
 
-def decode(message: bytes) -> tuple[RgbdFrame, float]:
-    """A frame and its age, s. Raises CameraError for what is not a whole frame."""
+def decode(message: bytes) -> tuple[RgbdFrame, tuple[float, float]]:
+    """A frame, and the ages of its colour and depth, s. Raises CameraError for what is not a
+    whole frame."""
     line, _, pixels = message.partition(b"\n")
     try:
         header = json.loads(line)
-        age = float(header.pop("age"))
+        color_age, depth_age = map(float, header.pop("ages"))
         distortion = tuple(header["intrinsics"].pop("distortion"))
         intrinsics = Intrinsics(**header.pop("intrinsics"), distortion=distortion)
         shape = (intrinsics.height, intrinsics.width)
         count = intrinsics.height * intrinsics.width
         color = np.frombuffer(pixels, np.uint8, 3 * count).reshape(*shape, 3)
         depth = np.frombuffer(pixels, "<f4", count, 3 * count).reshape(shape)
-        return RgbdFrame(color=color, depth=depth, intrinsics=intrinsics, **header), age
+        frame = RgbdFrame(color=color, depth=depth, intrinsics=intrinsics, **header)
+        return frame, (color_age, depth_age)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise CameraError(
             f"{len(message)} bytes that are not a frame ({error}): is camera.emulated the address "
@@ -55,16 +57,16 @@ def decode(message: bytes) -> tuple[RgbdFrame, float]:
 class RemoteFrames:
     """What the camera of an emulated cell sees now, each time it is called.
 
-    age: of the last frame when it was sent, s.
+    ages: of the last frame's colour and depth when it was sent, s.
     """
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
-        self.age = 0.0
+        self.ages = (0.0, 0.0)
 
     def __call__(self) -> RgbdFrame:
         """Raises DeviceUnreachable, DeviceTimeout or CameraError."""
-        frame, self.age = decode(self._receive())
+        frame, self.ages = decode(self._receive())
         return frame
 
     def _receive(self) -> bytes:

@@ -59,11 +59,12 @@ def stale(seconds: float) -> Fault:
     return lambda e: replace(e, color_at=e.color_at - seconds, depth_at=e.depth_at - seconds)
 
 
-def arriving_late(age: Callable[[], float]) -> Fault:
-    """Frames are so many seconds old, each time asked anew."""
+def arriving_late(ages: Callable[[], tuple[float, float]]) -> Fault:
+    """Colour and depth are so many seconds old, each time asked anew."""
 
-    def late(exposure: Exposure) -> Exposure | None:
-        return stale(age())(exposure)
+    def late(e: Exposure) -> Exposure:
+        color_age, depth_age = ages()
+        return replace(e, color_at=e.color_at - color_age, depth_at=e.depth_at - depth_age)
 
     return late
 

@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration.solve import solve
-from calibration.synthetic import Truth, make_truth, observe
+from calibration.synthetic import D435_720P, Truth, make_truth, observe
 from calibration.target import DEFAULT_TARGET
-from calibration.views import Mounting, View
+from calibration.views import Mounting, PoseNoise, View
 from tdpg_deploy.errors import CalibrationError
 from tdpg_deploy.geometry import Transform
 
@@ -121,3 +121,23 @@ def test_corners_of_another_board_are_refused(case: tuple[Truth, list[View]]) ->
     truth, views = case
     wrong = [replace(views[0], ids=views[0].ids + 1000), *views[1:]]
     assert "ids" in solved_wrong(truth, wrong)
+
+
+@pytest.mark.parametrize(
+    "change", [{"fx": 1.08 * D435_720P.fx, "fy": 1.08 * D435_720P.fy}, {"cx": 560.0}]
+)
+def test_a_foreign_lens_is_named(change: dict[str, float]) -> None:
+    rng = np.random.default_rng(5)
+    truth = make_truth(HAND, CORNERS, rng)
+    given = replace(truth.intrinsics, **change)
+    with pytest.raises(CalibrationError, match="intrinsics given are not those of these pictures"):
+        solve(observe(truth, 12, rng), CORNERS, given, HAND)
+
+
+def test_poses_worse_than_any_arms_are_noted() -> None:
+    """As nominal kinematics give them: millimetres off, each in its own way."""
+    rng = np.random.default_rng(6)
+    truth = make_truth(HAND, CORNERS, rng)
+    nominal = PoseNoise(translation=1.5e-3, rotation=2e-3)
+    found = solve(observe(truth, 16, rng, pose_noise=nominal), CORNERS, truth.intrinsics, HAND)
+    assert "not from nominal kinematics" in found.notes[-1]

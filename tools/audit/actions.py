@@ -48,15 +48,19 @@ def refusal_cause(reason: str) -> Cause:
     return Cause.REFUSED_PLAN
 
 
-def explain_action(step: Step, previous: Step | None = None) -> tuple[Finding, ...]:
+def explain_action(
+    step: Step, previous: Step | None = None, interruption: Finding | None = None
+) -> tuple[Finding, ...]:
     """Why the action of `step` failed, most specific first; empty for one that succeeded.
 
-    previous: the step before, to see repetitions.
+    previous: the step before, to see repetitions. interruption: what ended the episode, where that
+    may happen in the midst of an action.
     """
     if step.intent is None:
         return _explain_refusals(step.refusals)
     if step.outcome is None:
-        return (Finding(cause=Cause.TRUNCATED_LOG, evidence="the log tells no outcome"),)
+        cut = Finding(cause=Cause.TRUNCATED_LOG, evidence="the log tells no outcome")
+        return (interruption or cut,)
     if step.outcome.success is Verdict.YES:
         return ()
     findings = [

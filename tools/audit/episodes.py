@@ -89,11 +89,8 @@ def _end(
             return Finding(cause=Cause.EMPTY_TABLE_MISJUDGED, evidence=evidence)
         case EndReason.CLEARED | EndReason.GOAL_REACHED:
             return None
-        case EndReason.OPERATOR_STOP:
-            evidence = f"stopped by the operator after {result.actions} actions"
-            return Finding(cause=Cause.OPERATOR_STOP, evidence=evidence)
-        case EndReason.DEVICE_ERROR | EndReason.FAILED:
-            return explain_error(result.error or "no error was logged")
+        case EndReason.OPERATOR_STOP | EndReason.DEVICE_ERROR | EndReason.FAILED:
+            return explain_interruption(result.reason, result.error)
         case EndReason.NOTHING_SEEN:
             evidence = "too little of the table was seen to say what lies there"
             return Finding(cause=Cause.DEPTH_HOLE, evidence=evidence)
@@ -111,7 +108,16 @@ def _end(
             return _goal_lost(actions)
 
 
-def explain_error(error: str) -> Finding:
+def explain_interruption(reason: EndReason | None, error: str | None) -> Finding | None:
+    """What broke the episode off, perhaps in the midst of an action; None if nothing did."""
+    if reason is EndReason.OPERATOR_STOP:
+        return Finding(cause=Cause.OPERATOR_STOP, evidence="the operator stopped the episode")
+    if reason in (EndReason.DEVICE_ERROR, EndReason.FAILED):
+        return _explain_error(error or "no error was logged")
+    return None
+
+
+def _explain_error(error: str) -> Finding:
     """The cause that the error of a device names; `error` is "TypeName: message"."""
     kind, _, message = error.partition(": ")
     cause = Cause.UNKNOWN

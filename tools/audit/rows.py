@@ -22,7 +22,12 @@ from tdpg_deploy.errors import LogError
 from tdpg_deploy.outcome import EndReason, GraspOutcome, PushOutcome
 from tools.audit.actions import explain_action, refusal_cause
 from tools.audit.causes import Finding
-from tools.audit.episodes import ActionSummary, explain_episode, summarize
+from tools.audit.episodes import (
+    ActionSummary,
+    explain_episode,
+    explain_interruption,
+    summarize,
+)
 from tools.audit.table_level import TableLevel, table_level
 from tools.evaluate.metrics import EpisodeRow
 from tools.evaluate.rows import objects_of
@@ -122,7 +127,8 @@ def audit_log(path: Path, *, name: str) -> AuditedLog:
     damage, previous = None, None
     try:
         for step in group(_noting_results(episode, results)):
-            findings = explain_action(step, previous)
+            ended = explain_interruption(results[-1].reason, results[-1].error) if results else None
+            findings = explain_action(step, previous, ended)
             records.append(_action(name, len(records) + 1, step, findings))
             summaries.append(summarize(step, findings, episode.about.cell))
             previous = step

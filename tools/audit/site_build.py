@@ -19,11 +19,13 @@ from typing import Any
 
 from tdpg_deploy.episode_log.reader import read_episode
 from tdpg_deploy.errors import ConfigError, LogError
+from tdpg_deploy.outcome import EndReason
 from tools.audit.actions import explain_action
 from tools.audit.causes import Finding
 from tools.audit.compare import figures
 from tools.audit.engines import Engine, in_parallel
 from tools.audit.episode_data import findings_data, number, step_data
+from tools.audit.episodes import explain_interruption
 from tools.audit.rows import AuditedLog, EpisodeRecord
 from tools.audit.site_images import write_images
 from tools.audit.tally import Tally
@@ -35,10 +37,12 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 @dataclass(frozen=True, kw_only=True)
 class Listed:
-    """What the overview needs of a log. failures: how many actions failed of which cause."""
+    """What the overview needs of a log. tried: how many actions were begun; failures: how many
+    of them failed of which cause."""
 
     record: EpisodeRecord
     findings: tuple[Finding, ...]
+    tried: int
     failures: dict[str, int]
 
 
@@ -53,10 +57,11 @@ class Page:
 
 
 def listed(log: AuditedLog) -> Listed:
-    failures = Counter(
-        action.cause for action in log.actions if action.cause is not None and action.kind != "none"
+    tried = [action for action in log.actions if action.kind != "none"]
+    failures = Counter(action.cause for action in tried if action.cause is not None)
+    return Listed(
+        record=log.episode, findings=log.findings, tried=len(tried), failures=dict(failures)
     )
-    return Listed(record=log.episode, findings=log.findings, failures=dict(failures))
 
 
 def write_site(
@@ -95,10 +100,12 @@ def write_page(log: Listed, out: Path, *, earlier: str | None, later: str | None
     name = slug(record.episode)
     episode = read_episode(Path(record.path))
     cell = episode.about.cell
+    reason = None if record.reason is None else EndReason(record.reason)
+    interruption = explain_interruption(reason, record.error)
     steps, previous = [], None
     with suppress(LogError):  # told by the record's evidence
         for step in episode.steps(images=False):
-            steps.append(step_data(step, explain_action(step, previous), cell))
+            steps.append(step_data(step, explain_action(step, previous, interruption), cell))
             previous = step
     images = write_images(episode, out / "episodes" / name)
     data = {
@@ -119,9 +126,13 @@ def _index(logs: Sequence[Listed], tally: Tally) -> str:
     shown = figures(evaluate(tally.rows)) if tally.rows else {}
     data = {
         "figures": {
-            name: [number(e.value), number(e.low), number(e.high)] for name, e in shown.items()
+            name: [number(e.value, 6), number(e.low, 6), number(e.high, 6)]
+            for name, e in shown.items()
         },
-        "episodes": [record_data(log.record) | {"action_causes": log.failures} for log in logs],
+        "episodes": [
+            record_data(log.record) | {"tried": log.tried, "action_causes": log.failures}
+            for log in logs
+        ],
         "actions": tally.actions,
         "unreadable": [file.why for file in tally.unreadable],
     }

@@ -67,7 +67,7 @@ def _walk(args: argparse.Namespace, episode: Episode, console: Console) -> int:
 
 
 def _told(episode: Episode) -> Iterator[list[Line]]:
-    return (lines for _, lines in telling.tell_each(episode.steps()))
+    return (lines for _, lines in telling.tell_each(episode))
 
 
 def _damage(damage: list[LogError], console: Console) -> int:
@@ -111,15 +111,13 @@ class _Again:
 
     def lines(self) -> Iterator[list[Line]]:
         self.steps, self.found = 0, []
-        logged, previous = Surroundings.of(self.episode.about), None
+        logged = Surroundings.of(self.episode.about)
         for step in redecide(self.episode, self.policy.decider, self.config):
             divergence = first_divergence(step, logged, self.surroundings)
             self.steps += 1
             if divergence is not None:
                 self.found.append(divergence)
-            told = telling.tell(step.step, previous)
-            yield [*told, *telling.tell_again(step, divergence)]
-            previous = step.step
+            yield [*telling.tell(step.step), *telling.tell_again(step, divergence)]
 
     def diverged(self) -> bool:
         """On another processor, what stays within the tolerance is the same."""

@@ -10,9 +10,12 @@ import numpy as np
 from policies.heightmap import Heightmap
 from policies.primitives import Primitive, Push
 from tdpg_deploy.episode_log.entries import LoggedDecision, Step
+from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.outcome import GraspOutcome, Outcome, Verdict
 from tools.audit.actions import explain_action
+from tools.audit.causes import Finding
+from tools.audit.episodes import explain_interruption
 from tools.replay.divergence import Divergence
 from tools.replay.redecide import Proposal, Redecision
 from tools.replay.reenact import ALIKE, Tried
@@ -23,19 +26,23 @@ WORDS = {Verdict.YES: "success", Verdict.NO: "failed", Verdict.UNKNOWN: "unclear
 Line = tuple[str, str]  # a label, and what it says
 
 
-def tell_each(steps: Iterable[Step]) -> Iterator[tuple[Step, list[Line]]]:
-    """Each step with its lines. At damage, the LogError of `steps` comes after what lies before."""
-    previous = None
-    for step in steps:
-        yield step, list(tell(step, previous))
+def tell_each(episode: Episode) -> Iterator[tuple[Step, list[Line]]]:
+    """Each step with its lines, last of them why it failed. Raises LogError at damage, after all
+    that lies before it."""
+    result, previous = episode.result(), None
+    ended = None if result is None else explain_interruption(result.reason, result.error)
+    for step in episode.steps():
+        yield step, [*tell(step), *why(explain_action(step, previous, ended))]
         previous = step
 
 
-def tell(step: Step, previous: Step | None = None) -> Iterator[Line]:
-    """The lines of one step, in the order in which things happened; last, why it failed.
+def why(findings: Iterable[Finding]) -> Iterator[Line]:
+    for finding in findings:
+        yield "why", f"{finding.cause.value}: {finding.evidence}"
 
-    previous: the step before, to see repetitions.
-    """
+
+def tell(step: Step) -> Iterator[Line]:
+    """The lines of one step, in the order in which things happened."""
     yield "seen", "the look is lost" if step.look is None else seen(step.look.heightmap)
     for refusal in step.refusals:
         yield "refused", f"{action(refusal.decision.primitive)}: {refusal.reason}"
@@ -52,8 +59,6 @@ def tell(step: Step, previous: Step | None = None) -> Iterator[Line]:
     else:
         yield "measured", measured(step.outcome)
         yield "outcome", WORDS[step.outcome.success]
-        for finding in explain_action(step, previous):
-            yield "why", f"{finding.cause.value}: {finding.evidence}"
 
 
 def seen(heightmap: Heightmap) -> str:

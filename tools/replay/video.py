@@ -85,7 +85,7 @@ def pictures(
 ) -> Iterator[Picture]:
     """(720, 1280, 3) RGB, FPS a second."""
     try:
-        for number, (step, lines) in enumerate(telling.tell_each(episode.steps()), start=1):
+        for number, (step, lines) in enumerate(telling.tell_each(episode), start=1):
             if number >= first:
                 yield from _step(step, lines, f"{episode.path.stem}   step {number}", speed)
     except LogError as error:

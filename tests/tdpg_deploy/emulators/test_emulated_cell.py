@@ -112,6 +112,7 @@ def result_in(folder: Path) -> EpisodeResult:
         ("gripper_lose_power", "gripper_restore_power", "GripperError"),
         ("camera_stall", "camera_resume", "DeviceTimeout"),
         ("camera_freeze", "camera_resume", "CameraError"),
+        ("camera_tear seconds=0.3", "camera_resume", "CameraError"),
         ("camera_unplug", "camera_plug_in", "DeviceTimeout"),
     ],
 )
@@ -136,6 +137,16 @@ def test_a_fault_stops_the_arm_and_closes_the_log(
     assert result.reason is EndReason.DEVICE_ERROR
     assert result.error is not None
     assert result.error.startswith(said)
+
+
+@pytest.mark.slow
+def test_holes_in_the_depth_are_unknown(cell: EmulatorRig) -> None:
+    cell.do("camera_holes share=0.25")
+    with open_cell(cell.config, real=True) as real:
+        depth = real.camera.capture().depth
+    cell.do("camera_resume")
+    assert np.isnan(depth[:, :155]).all()
+    assert np.isfinite(depth[:, 165:]).mean() > 0.9
 
 
 @pytest.mark.slow
@@ -192,6 +203,7 @@ def test_a_person_is_asked_and_ctrl_c_stops_the_arm(cell: EmulatorRig, tmp_path:
     with tdpg_run_in_a_terminal(cell, tmp_path, "--step") as terminal:
         terminal.wait_for("Type yes to go on: ")
         terminal.type("yes\n")
+        terminal.wait_for("stops above 15 N")  # the plan is shown
         terminal.wait_for("Go? (y/N) ")
         cell.wait_for_rest()
         assert np.allclose(cell.do("truth")["q"], cell.config.arm.home, atol=1e-3)
@@ -217,6 +229,8 @@ def test_a_protective_stop_is_released_when_a_person_says_so(
     with tdpg_run_in_a_terminal(cell, tmp_path) as terminal:
         terminal.wait_for("Type yes to go on: ")
         terminal.type("yes\n")
+        terminal.wait_for("Go? (y/N) ")
+        terminal.type("y\n")
         cell.wait_for_motion()
         cell.do("protective_stop")
         terminal.wait_for("ProtectiveStop: protective stop: look at the arm")

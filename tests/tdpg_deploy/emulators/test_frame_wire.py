@@ -55,9 +55,9 @@ def server(message: bytes | None) -> Iterator[RemoteFrames]:
 
 def test_a_frame_comes_as_it_was_sent() -> None:
     sent = frame()
-    with server(encode(sent, age=0.25)) as frames:
+    with server(encode(sent, ages=(0.25, 0.5))) as frames:
         got = frames()
-        assert frames.age == 0.25
+        assert frames.ages == (0.25, 0.5)
     assert np.array_equal(got.color, sent.color)
     assert np.array_equal(got.depth, sent.depth, equal_nan=True)
     assert got.color[2, 3].tolist() == [33, 34, 35]

@@ -308,6 +308,23 @@ def test_a_device_that_failed(recipe: Recipe, tmp_path: Path, error: str, cause:
     assert (episode.cause, episode.evidence) == (cause.value, error)
 
 
+@pytest.mark.parametrize(
+    ("reason", "error", "cause"),
+    [
+        (EndReason.DEVICE_ERROR, "ProtectiveStop: look at the arm", Cause.PROTECTIVE_STOP),
+        (EndReason.OPERATOR_STOP, None, Cause.OPERATOR_STOP),
+    ],
+)
+def test_an_action_that_was_interrupted_has_the_cause_of_it(
+    recipe: Recipe, tmp_path: Path, reason: EndReason, error: str | None, cause: Cause
+) -> None:
+    """Its log is whole, though the action has no outcome."""
+    recipe.act(GRASP, None)
+    recipe.end(reason, error=error)
+    log = recipe.audit(tmp_path / "log.mcap")
+    assert only_action(log) == (cause.value, log.episode.evidence)
+
+
 Plant = Callable[[Recipe], None]
 
 
@@ -334,7 +351,7 @@ EPISODES: list[tuple[Cause, Plant, str]] = [
     (Cause.MISSED_GRASP, stuck, "3 missed grasp, 1 push without effect"),
     (Cause.PUSH_OUT_OF_WORKSPACE, pushed_out, "1 objects lie beside the workspace; action 1 ended"),
     (Cause.PUSH_OUT_OF_WORKSPACE, goal_pushed_out, "30 mm from the border"),
-    (Cause.OPERATOR_STOP, lambda r: r.end(EndReason.OPERATOR_STOP), "after 1 actions"),
+    (Cause.OPERATOR_STOP, lambda r: r.end(EndReason.OPERATOR_STOP), "the operator stopped"),
     (Cause.DEPTH_HOLE, lambda r: r.end(EndReason.NOTHING_SEEN), "too little"),
     (Cause.TIME_OUT, lambda r: r.end(EndReason.ACTION_LIMIT, actions=200), "200 actions"),
     (

@@ -24,7 +24,7 @@ from tdpg_deploy.errors import LogError
 from tools.audit.parquet import TableWriter
 from tools.audit.rows import audit_log
 from tools.audit.site_build import listed, write_page
-from tools.replay.telling import tell
+from tools.replay.telling import tell_each
 
 LOGS = int(os.environ.get("TDPG_FUZZ", "60")) // 3
 BATCHES = 4
@@ -91,8 +91,8 @@ def test_nothing_in_a_log_hurts_who_shows_it(whole: Path, tmp_path: Path, batch:
             tables.add(log)
         write_page(listed(log), tmp_path / "site", earlier=None, later=None)
         with contextlib.suppress(LogError):
-            for step in read_episode(path).steps():
-                assert all(isinstance(text, str) for _, text in tell(step))
+            for _, lines in tell_each(read_episode(path)):
+                assert all(isinstance(text, str) for _, text in lines)
         draw_summary(read_episode(path))
     outside = {path.name for path in tmp_path.iterdir()} - {"site", "tables"}
     assert all(name.endswith(".mcap") for name in outside)

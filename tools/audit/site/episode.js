@@ -91,12 +91,13 @@ function chart(title, unit, times, values, options) {
   const width = 400, height = 170, left = 38, right = 8, top = 8, bottom = 22;
   const last = Math.max(...times, ...(options.until || []), 0.1);
   const limits = Object.entries(options.limits || {});
-  const high = Math.max(...values, ...limits.map(([, v]) => v), 1) * 1.06;
+  const high = Math.max(...values, ...limits.map(([, v]) => v), options.least || 1) * 1.06;
   const low = Math.min(0, ...values);
   const x = (t) => left + ((width - left - right) * t) / last;
   const y = (v) => top + ((height - top - bottom) * (high - v)) / (high - low);
   const drawn = svg("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title} over time` });
-  const step = 10 ** Math.floor(Math.log10(high / 2)) * (high / 10 ** Math.floor(Math.log10(high / 2)) > 10 ? 5 : 2);
+  const power = 10 ** Math.floor(Math.log10(high / 2));
+  const step = power * (high / power > 10 ? 5 : high / power > 5 ? 2 : 1);
   for (let v = 0; v <= high; v += step) {
     drawn.append(svg("line", { class: "axis", x1: left, x2: width - right, y1: y(v), y2: y(v) }),
       svg("text", { x: left - 5, y: y(v) + 4, "text-anchor": "end" }, String(Math.round(v))));
@@ -130,6 +131,8 @@ function chart(title, unit, times, values, options) {
 
 // --- Critic II ---------------------------------------------------------------------------------
 
+const isOverruled = (step) => Boolean(step.verdict && step.verdict.overruled);
+
 function critic(step) {
   if (!step.verdict) return card("Critic II", el("p", { class: "faded" }, "this policy has none"));
   const p = step.verdict.p;
@@ -140,7 +143,14 @@ function critic(step) {
   return card("Critic II: success of the best grasps",
     svg("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "predicted success of the best grasps" },
       svg("line", { class: "limit", x1: 0, x2: width, y1: 96 - 88 * 0.6, y2: 96 - 88 * 0.6 }), bars),
-    el("p", { class: "small" }, step.verdict.overruled ? "overruled Critic I's choice" : "agreed with Critic I's choice"));
+    el("p", { class: "small" }, step.verdict.overruled ? overruled(step) : `agreed with Critic I: ${step.kind}`));
+}
+
+function overruled(step) {
+  const other = step.kind === "push" ? "grasp" : "push";
+  const best = Math.max(...step.candidates.filter((one) => one.kind === other).map((one) => one.q));
+  const q = Number.isFinite(best) ? ` (q ${best.toFixed(2)}, against ${step.q.toFixed(2)})` : "";
+  return `overruled Critic I, which preferred a ${other}${q}`;
 }
 
 // --- the page ----------------------------------------------------------------------------------
@@ -182,7 +192,7 @@ function stepView(step) {
     el("div", { class: "grid charts" },
       chart("force at the tool, N", "N", step.path.t, step.path.force, { limits: step.limits }),
       chart("height of the tool, mm", "mm", step.path.t, step.path.height, {}),
-      chart("width between the pads, mm", "mm", step.widths.map((w) => w[0]), step.widths.map((w) => w[1]), { held: true, until: step.path.t })),
+      chart("width between the pads, mm", "mm", step.widths.map((w) => w[0]), step.widths.map((w) => w[1]), { held: true, until: step.path.t, least: 85 })),
     el("div", { class: "grid charts" },
       card("decision", facts([
         ["action", `${step.kind} at (${x}, ${y}, ${z}) m`], ["direction", `${((step.action.yaw * 180) / Math.PI).toFixed(1)}°, rotation ${step.rotation}`],
@@ -219,8 +229,8 @@ function draw() {
     ].filter(Boolean).join(" · ")),
     el("div", { class: "grid" }, findings(data.findings, episode.completed && steps.every((one) => !one.findings.length) ? "Nothing failed." : "This episode was completed; the failures below did not keep it from that.")),
     el("nav", { class: "timeline", "aria-label": "steps" }, steps.map((one, i) => el("button", {
-      class: `${one.success || "none"} ${one.kind}`, "aria-current": i === current ? "step" : null, tabindex: 0,
-      title: `${i + 1}: ${one.kind}, ${one.findings.length ? one.findings[0].cause : one.success}`, onclick: () => go(i),
+      class: `${one.success || "none"} ${one.kind}${isOverruled(one) ? " overruled" : ""}`, "aria-current": i === current ? "step" : null, tabindex: 0,
+      title: `${i + 1}: ${one.kind}, ${one.findings.length ? one.findings[0].cause : one.success}${isOverruled(one) ? "; Critic II overruled Critic I" : ""}`, onclick: () => go(i),
     }, el("i", {}), String(i + 1)))),
     step ? [
       el("div", { class: "row", style: "margin-top:16px" },

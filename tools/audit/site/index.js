@@ -158,7 +158,7 @@ function draw() {
   const all = data.episodes;
   const causes = distinct(all.flatMap((e) => [...e.causes, ...Object.keys(e.action_causes)]));
   const failed = shown.reduce((sum, e) => sum + Object.values(e.action_causes).reduce((a, b) => a + b, 0), 0);
-  const actions = shown.reduce((sum, e) => sum + e.actions, 0);
+  const actions = shown.reduce((sum, e) => sum + e.tried, 0);
   const first = all.length ? day(all.reduce((a, e) => (e.started_at < a ? e.started_at : a), all[0].started_at)) : "";
   document.body.replaceChildren(el("main", {},
     el("h1", {}, `${all.length} episodes, ${data.actions} actions`),
