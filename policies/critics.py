@@ -37,10 +37,14 @@ def critic_one(
 def critic_two(
     network: Network, features: torch.Tensor, grasps: Sequence[Choice]
 ) -> npt.NDArray[np.float64]:
-    """P_success of each grasp (paper, eq. 2)."""
+    """P_success of each grasp (paper, eq. 2), from both sides where both pictures were made."""
     rotations, rows, cols = (
         torch.tensor([getattr(grasp, name) for grasp in grasps])
         for name in ("rotation", "row", "col")
     )
-    logits = network.evaluate(features[rotations], positions(rotations, rows, cols))
-    return torch.sigmoid(logits.double()).numpy()
+    sides = range(0, len(features), HALF_TURN)
+    logits = [
+        network.evaluate(features[side], positions(side, rows, cols))
+        for side in (rotations % HALF_TURN + turned for turned in sides)
+    ]
+    return torch.sigmoid(torch.stack(logits).double().mean(0)).numpy()

@@ -25,11 +25,12 @@ class Part:
 
 
 # What comes down around a grasp: the finger tips behind their pads (2F-85 manual, section 6.1),
-# the bars that carry them, and the palm. Open tips swing up by 14 mm, and their bars with them.
+# the bars that carry them, and the palm; open tips swing up by 14 mm, and their bars with them.
+# 2 mm to spare all around, but not towards what is grasped: corners are seen to a pixel, no better.
 OPEN_GRIPPER = (
-    Part(along=0.018, across=0.022, apart=OPEN_WIDTH + 0.018),
-    Part(along=0.024, across=0.026, apart=OPEN_WIDTH + 0.036, rise=0.050),
-    Part(along=0.100, across=0.062, rise=0.067),
+    Part(along=0.020, across=0.026, apart=OPEN_WIDTH + 0.020),
+    Part(along=0.028, across=0.030, apart=OPEN_WIDTH + 0.036, rise=0.050),
+    Part(along=0.104, across=0.066, rise=0.067),
 )
 # What comes down for a push, which moves across the fingers, with 2 mm to spare all around: the
 # closed tips side by side, their bars, and the palm.
