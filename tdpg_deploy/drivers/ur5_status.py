@@ -138,7 +138,8 @@ def motion_problem(sample: Sample) -> ArmError | None:
         name = _name(RuntimeState, sample.runtime_state)
         return ProgramStopped(
             f"the driver's program on the controller does not run (state {name}): somebody "
-            "stopped it at the pendant, or a target was out of reach; call recover()"
+            "stopped it at the pendant, a target was out of reach, or this machine was too busy to "
+            "keep its watchdog; call recover()"
         )
     if sample.slider < MIN_SLIDER:
         return ArmError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ from tdpg_deploy.workspace import workspace_of
 from tools.replay.cli import main
 from tools.replay.messages_of import channels_of, raw_messages, start_of
 from tools.replay.reenact import TableFrom, reenact
+from tools.replay.telling import tell_tried
 
 POLICY = NamedPolicy(name="random", decider=RandomPolicy(), sha256=None)
 
@@ -169,6 +171,10 @@ def test_a_simulated_episode_leads_to_the_same_table_bit_for_bit(tmp_path: Path)
     assert tried.table is TableFrom.SCENE
     assert tried.likeness == 1.0
     assert tried.same
+    told = dict(tell_tried(tried, logged_by="a", commit="b"))
+    assert "differs" not in told
+    otherwise = dict(tell_tried(replace(tried, logged=None), logged_by="a", commit="b"))
+    assert "commit b, in the log a" in otherwise["differs"]
 
 
 def test_a_step_that_is_not_there(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -171,7 +171,10 @@ def _reenact(args: argparse.Namespace, episode: Episode, console: Console) -> in
     from tools.replay.reenact import reenact
 
     show_head(console, episode)
-    for label, text in telling.tell_tried(reenact(episode, args.first)):
+    told = telling.tell_tried(
+        reenact(episode, args.first), logged_by=episode.about.commit, commit=software.commit()
+    )
+    for label, text in told:
         console.print(f"[dim]{label:10s}[/]", end="")
         console.print(text, markup=False, soft_wrap=True)
     return SAME

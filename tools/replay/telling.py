@@ -18,7 +18,7 @@ from tools.audit.causes import Finding
 from tools.audit.episodes import explain_interruption
 from tools.replay.divergence import Divergence
 from tools.replay.redecide import Proposal, Redecision
-from tools.replay.reenact import ALIKE, Tried
+from tools.replay.reenact import ALIKE, TableFrom, Tried
 
 RISE = 0.01  # m; what stands higher is an object
 WORDS = {Verdict.YES: "success", Verdict.NO: "failed", Verdict.UNKNOWN: "unclear"}
@@ -149,8 +149,9 @@ def proposed(proposals: tuple[Proposal, ...]) -> str:
 # --- tried again ------------------------------------------------------------------------------
 
 
-def tell_tried(tried: Tried) -> Iterator[Line]:
-    """How an action went in the simulated cell."""
+def tell_tried(tried: Tried, *, logged_by: str | None, commit: str | None) -> Iterator[Line]:
+    """How an action went in the simulated cell. logged_by, commit: of the code that wrote the log,
+    and of this one."""
     yield "estimate", f"step {tried.number} in the simulated cell, on {tried.table.value}"
     yield (
         "table",
@@ -166,6 +167,9 @@ def tell_tried(tried: Tried) -> Iterator[Line]:
     )
     if tried.same:
         yield "", "the same, bit for bit"
+    elif tried.table is TableFrom.SCENE and commit != logged_by:
+        by = f"commit {commit or 'unknown'}, in the log {logged_by or 'unknown'}"
+        yield "differs", f"perhaps because the code does, and its physics with it ({by})"
 
 
 def _outcome(outcome: Outcome | None) -> str:
