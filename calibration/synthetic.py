@@ -18,8 +18,8 @@ from tdpg_deploy.hal import Intrinsics
 
 D435_720P = Intrinsics(width=1280, height=720, fx=915.0, fy=914.0, cx=643.0, cy=361.0)
 # m from camera to board. The spread decides how hard a set of views is: with these, 25 views at
-# 0.25 px and the arm's usual noise let no estimator place the camera better than 0.095 mm (fixed)
-# and 0.069 mm (on the tool), medians. An arm that brings the board closer has it easier.
+# 0.25 px and the arm's usual noise let no estimator place the camera better than 0.098 mm (fixed)
+# and 0.070 mm (on the tool), medians. An arm that brings the board closer has it easier.
 DEPTHS = {Mounting.EYE_TO_HAND: (0.62, 0.90), Mounting.EYE_IN_HAND: (0.36, 0.54)}
 LEAST_SEEN = 0.7  # of the board's corners
 
