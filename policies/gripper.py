@@ -32,12 +32,12 @@ OPEN_GRIPPER = (
     Part(along=0.028, across=0.030, apart=OPEN_WIDTH + 0.036, rise=0.050),
     Part(along=0.104, across=0.066, rise=0.067),
 )
-# What comes down for a push, which moves across the fingers, with 2 mm to spare all around: the
-# closed tips side by side, their bars, and the palm.
+# What comes down for a push, which moves across the fingers, with 5 mm to spare all around: the
+# closed tips side by side, their bars, and the palm. There is no need to begin close to a thing.
 CLOSED_GRIPPER = (
-    Part(along=0.026, across=0.032),
-    Part(along=0.030, across=0.064, rise=0.036),
-    Part(along=0.066, across=0.104, rise=0.067),
+    Part(along=0.032, across=0.038),
+    Part(along=0.036, across=0.070, rise=0.036),
+    Part(along=0.072, across=0.110, rise=0.067),
 )
 MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
 MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...

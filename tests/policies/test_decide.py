@@ -135,7 +135,7 @@ def test_a_push_neither_starts_on_unknown_ground_nor_ends_near_the_border() -> N
     heightmap.height[125:140, :] = np.nan
     mask = pushable(heightmap)
     assert not mask[0, 130, 110]
-    assert mask[0, 145, 110]
+    assert mask[0, 150, 110]
     assert not mask[0, 79, 110]  # it would end 29 pixels from the border: 58 mm
     assert mask[0, 80, 110]
 

@@ -65,6 +65,8 @@ def play(task: RolloutTask) -> Experience:
                 if result.reason is EndReason.ACTION_LIMIT:
                     note.cut_short(_maps(policy, note, rng))
                     break
+                if result.reason is EndReason.DEVICE_ERROR:
+                    break  # an arm that is caught is freed by hand; here, by another cell
     return note.experience()
 
 
