@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 
 from policies.decide import (
+    C,
     Choice,
     choose_by_critic_one,
     choose_by_critic_two,
@@ -46,7 +47,6 @@ def highest_value(
     return choose_by_critic_one(grasps, push)
 
 
-SURE = 0.7  # P_success of the best grasp below which tdpg-sure pushes
 OCCUPIED = 0.3  # EPG: part of the goal's border above which it is pushed free first
 WORTHWHILE = 1.0  # EPG: grasp value below which it pushes, in units of the grasp's reward
 BORDER = 5  # pixels; width of the border around the goal
@@ -82,6 +82,6 @@ METHODS = {
         Method(name="epg", choose=free_the_goal),
         Method(name="tdpg-base", choose=highest_value),
         Method(name="tdpg", choose=highest_value, judge=choose_by_critic_two),
-        Method(name="tdpg-sure", choose=highest_value, judge=partial(choose_if_sure, least=SURE)),
+        Method(name="tdpg-sure", choose=highest_value, judge=partial(choose_if_sure, least=C)),
     )
 }
