@@ -10,12 +10,14 @@ import os
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tdpg_deploy.episode_log.reader import read_episode
 from tools.benchmark.logged_episodes import replicate, simulate
 from tools.benchmark.measure import Measurement
+from tools.pool import process_pool
 
 DIFFERENT, EPISODES, FEWER, STEPS = 2, 200, 20, 30
 
@@ -32,7 +34,10 @@ class Cost:
 def run() -> list[Measurement]:
     with TemporaryDirectory(prefix="tdpg-bench-") as name:
         folder = Path(name)
-        logs = simulate(folder / "simulated", episodes=DIFFERENT, actions=STEPS)
+        # In a process of its own: a child's peak of memory is no lower than its parent's was.
+        with process_pool(1) as worker:
+            simulated = partial(simulate, folder / "simulated", episodes=DIFFERENT, actions=STEPS)
+            logs = worker.submit(simulated).result()
         replicate(logs, folder / "many", episodes=EPISODES)
         replicate(logs, folder / "few", episodes=FEWER)
         steps = [sum(1 for _ in read_episode(log).steps(images=False)) for log in logs]
