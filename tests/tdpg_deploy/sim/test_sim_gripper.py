@@ -18,12 +18,14 @@ from small_cells import (
     travel,
 )
 
+from policies.gripper import OPEN_GRIPPER, OPEN_WIDTH
 from tdpg_deploy.errors import DeviceTimeout, GripperError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Holding
 from tdpg_deploy.sim.arm import SimArm
 from tdpg_deploy.sim.bodies import SHAPES, Shape, box
 from tdpg_deploy.sim.gripper import SimGripper
+from tdpg_deploy.sim.links import TIP_CLOSED, gripper_links, tip_retreat
 from tdpg_deploy.sim.physics import GRAVITY, PAD_FRICTION
 from tdpg_deploy.sim.scenes import Scene, SceneObject
 from tdpg_deploy.sim.world import Where, World
@@ -132,6 +134,25 @@ def test_pads_resist_turning_up_to_a_soft_fingers_torque(share: float, holds: bo
     world.close()
     drop = -np.degrees(np.arcsin(held.X_base_object.rotation.as_matrix()[2, 0]))
     assert (drop < 2) == holds
+
+
+def test_masks_and_plans_know_the_whole_simulated_gripper() -> None:
+    """policies/gripper.py has the sizes that sim/links.py builds, and something to spare."""
+    palm, _, finger, _ = gripper_links(0, Transform.identity())
+    tips, bars, body = OPEN_GRIPPER
+    open_by = np.array([OPEN_WIDTH / 2, 0, -tip_retreat(OPEN_WIDTH)])
+    for part, piece in zip((tips, bars), finger.pieces, strict=True):
+        low, high = (limit(piece.vertices + open_by, axis=0) for limit in (np.min, np.max))
+        assert (part.apart - part.along) / 2 <= low[0] + 1e-9
+        assert (part.apart + part.along) / 2 >= high[0]
+        assert part.across / 2 >= high[1]
+        assert part.rise <= -high[2] + 1e-9
+    for piece in palm.pieces:
+        high = np.abs(piece.vertices).max(axis=0)
+        assert body.along / 2 >= high[0]
+        assert body.rise <= TIP_CLOSED - high[2]
+        if piece is not palm.pieces[0]:  # the round foot is 5 mm broader, 50 mm higher up
+            assert body.across / 2 >= high[1]
 
 
 def test_speed_and_force_are_clamped() -> None:
