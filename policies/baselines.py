@@ -31,7 +31,8 @@ class RandomPolicy:
             push=np.full(shape, 1 if push_now else -np.inf, np.float32),
         )
         maps = allowed(maps, heightmap, avoid)
-        chosen = choose_by_critic_one(best_grasps(maps, rng, count=1), best_push(maps, rng))
+        grasps = best_grasps(maps, rng, goal=heightmap.goal, count=1)
+        chosen = choose_by_critic_one(grasps, best_push(maps, rng))
         if chosen is None:
             raise NoActionError(f"random: no action is allowed ({len(avoid)} are to be avoided)")
         return Decision(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -69,11 +69,9 @@ def _concerned(heightmap: Heightmap) -> Mask:
 def graspable(heightmap: Heightmap) -> Mask:
     """(16, 224, 224): a grasp closes on an object that was seen. Both fingers come down beside it
     on seen ground, and low enough; nothing of the gripper lands on what stands around. With a
-    goal: on the goal, or where no finger fits beside it, on what surrounds it."""
+    goal: on it or on what surrounds it."""
     ground = under_open_gripper(heightmap)
     half = _concerned(heightmap) & ground.known & have_room(heightmap.height, ground.highest)
-    if heightmap.goal is not None and (half & heightmap.goal).any():
-        half &= heightmap.goal
     return np.concatenate((half, half))
 
 
@@ -179,16 +177,31 @@ def best_push(maps: QMaps, rng: np.random.Generator) -> Choice | None:
 
 
 def best_grasps(
-    maps: QMaps, rng: np.random.Generator, *, count: int = CONSIDERED
+    maps: QMaps,
+    rng: np.random.Generator,
+    *,
+    goal: Mask | None = None,
+    count: int = CONSIDERED,
 ) -> tuple[Choice, ...]:
     """The `count` largest grasps, best first, no two of them NEAR each other: neighbouring
-    pixels are the same grasp, and ten of those would be one opinion."""
-    values = maps.grasp[:HALF_TURN].copy()  # the other half repeats it
-    grasps: list[Choice] = []
-    while len(grasps) < count and (grasp := best(values, "grasp", rng)) is not None:
-        grasps.append(grasp)
-        _strike_out(values, grasp.rotation, grasp.row, grasp.col)
-    return tuple(grasps)
+    pixels are the same grasp, and ten of those would be one opinion. goal (224, 224): so many on
+    it, and after them so many beside it."""
+    values = maps.grasp[:HALF_TURN]  # the other half repeats it
+    if goal is None:
+        return tuple(_best_apart(values, rng, count))
+    nothing = np.float32(-np.inf)
+    on, beside = np.where(goal, values, nothing), np.where(goal, nothing, values)
+    return (*_best_apart(on, rng, count), *_best_apart(beside, rng, count))
+
+
+def _best_apart(values: Map, rng: np.random.Generator, count: int) -> Iterator[Choice]:
+    left = values.copy()
+    for _ in range(count):
+        grasp = best(left, "grasp", rng)
+        if grasp is None:
+            return
+        yield grasp
+        _strike_out(left, grasp.rotation, grasp.row, grasp.col)
 
 
 def choose_by_critic_one(grasps: Sequence[Choice], push: Choice | None) -> Choice | None:
@@ -228,11 +241,13 @@ def choose_if_sure(
     *,
     least: float,
 ) -> Choice:
-    """Critic I's best grasp if Critic II gives it `least` or more, else the best push. Not of the
-    paper, whose rule looks for a better one among ten: the one of ten that looks best is the one
-    that Critic II is most likely to be wrong about.
+    """The first of the grasps to which Critic II gives `least` or more, else the best push. Not of
+    the paper, whose rule looks for a better one among ten: the one of ten that looks best is the
+    one that Critic II is most likely to be wrong about. So it is asked about Critic I's best, or
+    with a goal, about the best on the goal, and then about the best of what is in its way.
     """
-    return grasps[0] if push is None or p_success[0] >= least else push
+    sure = (grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least)
+    return next(sure, grasps[0] if push is None else push)
 
 
 # --- from the map to the world ----------------------------------------------------------------

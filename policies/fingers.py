@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 
 from policies.gripper import CLOSED_GRIPPER, MAX_UNKNOWN, OPEN_GRIPPER, Part
-from policies.heightmap import PIXEL, SIZE, Heightmap
+from policies.heightmap import INSIDE, PIXEL, RIM, SIZE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
 Map = npt.NDArray[np.float32]
@@ -46,23 +46,21 @@ def under_closed_gripper(heightmap: Heightmap) -> Ground:
 
 
 _THIN = 2 * PIXEL
-_AROUND = 36  # pixels beyond the map that a finger can touch
 
 
 def _under(heightmap: Heightmap, parts: Sequence[Part]) -> Ground:
     """The ground is known or not under the first of the parts, the one that reaches lowest.
-    Beyond the map lies the table, as the cell's owner vouches."""
-    seen = heightmap.valid
-    filled = np.where(seen, heightmap.height, np.float32(0))
-    smooth: Map = np.pad(cv2.medianBlur(filled, 3), _AROUND)  # no lone specks
-    unknown = _unknown(seen, parts[0])
+    Beyond the map, what was not seen is table: the cell's owner vouches for it."""
+    wide = heightmap.wide
+    filled: Map = np.where(np.isfinite(wide), wide, np.float32(0))
+    smooth = cv2.medianBlur(filled, 3).astype(np.float32, copy=False)  # no lone specks
+    unknown = _unknown(heightmap.valid, parts[0])
     known = np.empty((HALF_TURN, SIZE, SIZE), np.bool_)
-    inside = slice(_AROUND, _AROUND + SIZE)
     for rotation, place in enumerate(_places(parts[0].apart)):
-        known[rotation] = cv2.dilate(unknown[rotation], place)[inside, inside] <= MAX_UNKNOWN
+        known[rotation] = cv2.dilate(unknown[rotation], place)[INSIDE, INSIDE] <= MAX_UNKNOWN
     highest = np.zeros(known.shape, np.float32)
     for part in parts:
-        np.maximum(highest, _highest(smooth, part)[:, inside, inside] - part.rise, out=highest)
+        np.maximum(highest, _highest(smooth, part)[:, INSIDE, INSIDE] - part.rise, out=highest)
     return Ground(highest=highest, known=known)
 
 
@@ -81,7 +79,7 @@ def _highest(height: Map, part: Part) -> Map:
 def _unknown(seen: npt.NDArray[np.bool_], part: Part) -> Map:
     """(8, n, n) share of a part's rectangle around each pixel, those beyond the map too, that was
     not seen. Counted on pixels of twice the size: a sixteenth of the work, and near enough."""
-    unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), _AROUND))
+    unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), RIM))
     footprints = _footprints(part.along, part.across, pixel=2 * PIXEL)
     weights = torch.from_numpy(footprints[:, None].astype(np.float32))
     weights /= weights.sum((2, 3), keepdim=True)

@@ -16,6 +16,9 @@ from policies.errors import HeightmapError
 
 SIZE = 224  # pixels a side (paper, section III)
 PIXEL = 0.002  # metres a pixel (paper, section IV; VPG)
+RIM = 40  # pixels around the map; a gripper that works at its border reaches as far
+WIDE = SIZE + 2 * RIM
+INSIDE = slice(RIM, RIM + SIZE)  # of the rows and columns of a wide map
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +43,11 @@ class Workspace:
     @property
     def y_max(self) -> float:
         return self.y_min + self.side
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """x, y in base (m)."""
+        return self.x_min + self.side / 2, self.y_min + self.side / 2
 
     def to_base(
         self, row: npt.ArrayLike, col: npt.ArrayLike
@@ -72,23 +80,35 @@ class Heightmap:
     color:  (224, 224, 3) uint8 RGB, zero where unseen.
     height: (224, 224) float32, metres above the table, nan where unseen.
     goal:   (224, 224) bool, pixels of the object to fetch; None when clearing the table.
+    rim:    (304, 304) float32, like height, for RIM pixels around the map, which itself is left
+            out (nan). No policy is shown it: it is for fingers, which must come down on nothing
+            there either. None when nothing is known of it.
     """
 
     workspace: Workspace
     color: npt.NDArray[np.uint8]
     height: npt.NDArray[np.float32]
     goal: npt.NDArray[np.bool_] | None = None
+    rim: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         _require("color", self.color, (SIZE, SIZE, 3), np.uint8)
         _require("height", self.height, (SIZE, SIZE), np.float32)
         if self.goal is not None:
             _require("goal", self.goal, (SIZE, SIZE), np.bool_)
+        if self.rim is not None:
+            _require("rim", self.rim, (WIDE, WIDE), np.float32)
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
         """(224, 224) bool: True where the surface was seen. A hole is never table."""
         return np.isfinite(self.height)
+
+    @property
+    def wide(self) -> npt.NDArray[np.float32]:
+        """(304, 304) float32: height and rim."""
+        wide: npt.NDArray[np.float32] = np.pad(self.height, RIM, constant_values=np.nan)
+        return wide if self.rim is None else np.where(np.isnan(wide), self.rim, wide)
 
 
 def _require(

@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 
 from policies.decide import (
+    CONSIDERED,
     C,
     Choice,
     choose_by_critic_one,
@@ -32,12 +33,14 @@ Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float6
 class Method:
     """choose: the best grasps, the best push and what was seen -> one of them; None if there
     is none. pushes: both maps are valued. judge: what Critic II makes of that choice, of the
-    same grasps and push, and of each grasp's P_success; None: it has no say."""
+    same grasps and push, and of each grasp's P_success; None: it has no say. considered: how many
+    grasps both are shown; with a goal, as many on it and as many of what is in its way."""
 
     name: str
     choose: Rule
     pushes: bool = True
     judge: Judge | None = None
+    considered: int = CONSIDERED
 
 
 def highest_value(
@@ -82,6 +85,11 @@ METHODS = {
         Method(name="epg", choose=free_the_goal),
         Method(name="tdpg-base", choose=highest_value),
         Method(name="tdpg", choose=highest_value, judge=choose_by_critic_two),
-        Method(name="tdpg-sure", choose=highest_value, judge=partial(choose_if_sure, least=C)),
+        Method(
+            name="tdpg-sure",
+            choose=highest_value,
+            judge=partial(choose_if_sure, least=C),
+            considered=1,
+        ),
     )
 }

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from policies.gripper import Part
-from policies.heightmap import SIZE, Heightmap
+from policies.heightmap import RIM, WIDE, Heightmap
 from policies.primitives import Primitive
 from tdpg_deploy.geometry import Array
 
@@ -64,22 +64,18 @@ class Ground:
 
 
 def ground_under(heightmap: Heightmap, rectangle: Rectangle, *, clear_margin: float) -> Ground:
-    """Outside of the map nothing is seen; for `clear_margin` metres around it the cell's owner
-    vouches that there is only table."""
+    """What was not seen is unknown; but for `clear_margin` metres around the map it is table: the
+    cell's owner vouches for it."""
     x, y = rectangle.points()
-    row, col = heightmap.workspace.to_pixel(x, y)
-    inside = (row >= 0) & (row < SIZE) & (col >= 0) & (col < SIZE)
-    height: npt.NDArray[np.float32] = np.full(len(x), np.nan, np.float32)
-    height[inside] = heightmap.height[row[inside], col[inside]]
     workspace = heightmap.workspace
-    vouched = (
-        ~inside
-        & (x >= workspace.x_min - clear_margin)
-        & (x <= workspace.x_max + clear_margin)
-        & (y >= workspace.y_min - clear_margin)
-        & (y <= workspace.y_max + clear_margin)
-    )
-    height[vouched] = 0.0
+    row, col = workspace.to_pixel(x, y)
+    row, col = row + RIM, col + RIM
+    looked_at = (row >= 0) & (row < WIDE) & (col >= 0) & (col < WIDE)
+    height: npt.NDArray[np.float32] = np.full(len(x), np.nan, np.float32)
+    height[looked_at] = heightmap.wide[row[looked_at], col[looked_at]]
+    middle = workspace.middle
+    beyond = np.maximum(abs(x - middle[0]), abs(y - middle[1])) - workspace.side / 2
+    height[np.isnan(height) & (beyond > 0) & (beyond <= clear_margin)] = 0.0
     seen = np.isfinite(height)
     highest = float(np.quantile(height[seen], _UPPER_END)) if seen.any() else float("nan")
     return Ground(highest=highest, unknown=1.0 - float(seen.mean()))

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from policies.heightmap import PIXEL, SIZE, Heightmap, Workspace
+from policies.heightmap import INSIDE, PIXEL, RIM, WIDE, Heightmap, Workspace
 from tdpg_deploy.compiled import compiled
 from tdpg_deploy.errors import FrameError
 from tdpg_deploy.geometry import Transform
@@ -26,7 +26,8 @@ def build_heightmap(
     *,
     goal_pixels: npt.NDArray[np.bool_] | None = None,
 ) -> Heightmap:
-    """The highest point seen in each pixel of the map, with its colour; nan where none was.
+    """The highest point seen in each pixel of the map, with its colour; nan where none was. Around
+    it, heights alone.
 
     Gaps of one pixel between samples of one surface are filled; what an edge hides stays
     unknown. goal_pixels: (H, W) of the frame, where it shows the object to fetch.
@@ -35,19 +36,22 @@ def build_heightmap(
     _validate(frame, goal_pixels)
     # Row, column (in pixels of the map) and height of a point z * (ray_x, ray_y, 1).
     to_map = np.diag([-1 / PIXEL, -1 / PIXEL, 1.0])
-    corner = np.array([workspace.x_max, workspace.y_max, workspace.table_z])
-    height, source = _project(
+    rim = RIM * PIXEL
+    corner = np.array([workspace.x_max + rim, workspace.y_max + rim, workspace.table_z])
+    wide, source = _project(
         np.ascontiguousarray(frame.depth),
         *_rays(frame.intrinsics),
         (to_map @ X_base_camera.rotation.as_matrix()).astype(np.float32),
         (to_map @ (X_base_camera.translation - corner)).astype(np.float32),
     )
-    height, source = _fill(height, source)
+    wide, source = _fill(wide, source)
+    height, source = wide[INSIDE, INSIDE].copy(), source[INSIDE, INSIDE]
+    wide[INSIDE, INSIDE] = np.nan
     seen = source >= 0
     color = frame.color.reshape(-1, 3)[source]
     color[~seen] = 0
     goal = None if goal_pixels is None else goal_pixels.reshape(-1)[source] & seen
-    return Heightmap(workspace=workspace, color=color, height=height, goal=goal)
+    return Heightmap(workspace=workspace, color=color, height=height, goal=goal, rim=wide)
 
 
 def _validate(frame: RgbdFrame, goal_pixels: npt.NDArray[np.bool_] | None) -> None:
@@ -90,12 +94,12 @@ def _rays(intrinsics: Intrinsics) -> tuple[Floats, Floats]:
 def _project(
     depth: Floats, ray_x: Floats, ray_y: Floats, R: Floats, t: Floats
 ) -> tuple[Floats, Indices]:
-    """(224, 224) height of the highest point of each pixel (nan where none) and the flat index
+    """(304, 304) height of the highest point of each pixel (nan where none) and the flat index
     of the frame's pixel that it came from (-1)."""
     rows, columns = depth.shape
-    size = np.float32(SIZE)
-    height = np.full((SIZE, SIZE), np.nan, np.float32)
-    source = np.full((SIZE, SIZE), -1, np.int32)
+    size = np.float32(WIDE)
+    height = np.full((WIDE, WIDE), np.nan, np.float32)
+    source = np.full((WIDE, WIDE), -1, np.int32)
     flat_height, flat_source = height.ravel(), source.ravel()
     place = np.empty(columns, np.int32)
     risen = np.empty(columns, np.float32)
@@ -106,7 +110,7 @@ def _project(
             j = t[1] + z * (R[1, 0] * x + R[1, 1] * y + R[1, 2])
             risen[col] = t[2] + z * (R[2, 0] * x + R[2, 1] * y + R[2, 2])
             inside = (z > 0) & (i >= 0) & (i < size) & (j >= 0) & (j < size)  # False for nan
-            place[col] = np.int32(i) * SIZE + np.int32(j) if inside else -1
+            place[col] = np.int32(i) * WIDE + np.int32(j) if inside else -1
         for col in range(columns):
             at = place[col]
             if at >= 0 and not flat_height[at] >= risen[col]:
@@ -122,8 +126,8 @@ def _fill(height: Floats, source: Indices) -> tuple[Floats, Indices]:
     Of several such pairs the one that agrees best counts.
     """
     filled, origin = height.copy(), source.copy()
-    for row in range(1, SIZE - 1):
-        for col in range(1, SIZE - 1):
+    for row in range(1, WIDE - 1):
+        for col in range(1, WIDE - 1):
             if source[row, col] >= 0:
                 continue
             best = np.float32(ONE_SURFACE)

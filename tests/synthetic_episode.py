@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from policies.heightmap import SIZE, Heightmap, Workspace
+from policies.heightmap import INSIDE, SIZE, WIDE, Heightmap, Workspace
 from policies.policy import CriticVerdict, Decision, QMaps
 from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
@@ -75,7 +75,9 @@ class Synthetic:
         unseen = self.rng.random((SIZE, SIZE)) < 0.01
         height[unseen], color[unseen] = np.nan, 0
         mask = np.asarray(height > 0.015) if goal else None
-        return Heightmap(workspace=WORKSPACE, color=color, height=height, goal=mask)
+        rim = self.rng.normal(0, 0.0008, (WIDE, WIDE)).astype(np.float32)
+        rim[INSIDE, INSIDE] = np.nan
+        return Heightmap(workspace=WORKSPACE, color=color, height=height, goal=mask, rim=rim)
 
     def frame(self, *, width: int = 64, height: int = 48) -> RgbdFrame:
         counts = self.rng.integers(0, 1200, (height, width)).astype(np.uint16)

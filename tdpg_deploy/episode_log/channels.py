@@ -36,6 +36,7 @@ DEPTH = "/camera/depth"
 CALIBRATION = "/camera/calibration"
 TRANSFORMS = "/tf"
 HEIGHTMAP = "/heightmap"
+HEIGHTMAP_RIM = "/heightmap/rim"
 HEIGHTMAP_COLOR = "/heightmap/color"
 HEIGHTMAP_POINTS = "/heightmap/points"
 Q_PUSH = "/q_map/push"
@@ -60,6 +61,7 @@ PROTOBUF: dict[str, Any] = {
     CALIBRATION: CameraCalibration,
     TRANSFORMS: FrameTransforms,
     HEIGHTMAP: Grid,
+    HEIGHTMAP_RIM: Grid,
     HEIGHTMAP_COLOR: CompressedImage,
     HEIGHTMAP_POINTS: PointCloud,
     Q_PUSH: CompressedImage,
@@ -81,7 +83,7 @@ DOCUMENTS: dict[str, Any] = {
     RESULT: End,
 }
 PICTURES = frozenset({PREVIEW, HEIGHTMAP_COLOR, Q_PUSH, Q_GRASP})  # what a page shows
-MEASURED = frozenset({COLOR, DEPTH, CALIBRATION, HEIGHTMAP, HEIGHTMAP_POINTS})
+MEASURED = frozenset({COLOR, DEPTH, CALIBRATION, HEIGHTMAP, HEIGHTMAP_RIM, HEIGHTMAP_POINTS})
 IMAGES = PICTURES | MEASURED
 
 

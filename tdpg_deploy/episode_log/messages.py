@@ -29,7 +29,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import DecodeError
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from policies.heightmap import PIXEL, SIZE, Heightmap, Workspace
+from policies.heightmap import PIXEL, RIM, SIZE, WIDE, Heightmap, Workspace
 from tdpg_deploy.episode_log.channels import BASE, CAMERA
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.geometry import Array, Transform
@@ -257,6 +257,7 @@ def decode_joints(message: JointStates) -> tuple[Array, Array]:
 
 _CELL = [("red", "u1"), ("green", "u1"), ("blue", "u1"), ("alpha", "u1"), ("elevation", "<f4")]
 _GOAL = ("goal", "u1")
+_RIM = _CELL[4:]
 _POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *_CELL[:4]]
 POINT_STRIDE = (
     2  # pixels; a picture for viewers that draw no Grid in relief, at a quarter of the size
@@ -286,40 +287,69 @@ def encode_heightmap(heightmap: Heightmap, time: int) -> Grid:
     cells["elevation"] = heightmap.height
     if heightmap.goal is not None:
         cells["goal"] = heightmap.goal
-    workspace = heightmap.workspace
+    return _encode_grid(cells, layout, heightmap.workspace, 0, time)
+
+
+def encode_rim(rim: npt.NDArray[np.float32], workspace: Workspace, time: int) -> Grid:
+    """What was seen around a heightmap, without loss."""
+    return _encode_grid(rim.view(_RIM), _RIM, workspace, RIM, time)
+
+
+def _encode_grid(
+    cells: npt.NDArray[np.void],
+    layout: list[tuple[str, str]],
+    workspace: Workspace,
+    around: int,
+    time: int,
+) -> Grid:
+    """Cells (n, n) of the workspace and of so many pixels around it."""
+    border = around * PIXEL
     return Grid(
         timestamp=timestamp(time),
         frame_id=BASE,
         pose=Pose(
-            position=Vector3(x=workspace.x_min, y=workspace.y_min, z=workspace.table_z),
+            position=Vector3(
+                x=workspace.x_min - border, y=workspace.y_min - border, z=workspace.table_z
+            ),
             orientation=Quaternion(x=0, y=0, z=0, w=1),
         ),
-        column_count=SIZE,
+        column_count=len(cells),
         cell_size=Vector2(x=PIXEL, y=PIXEL),
-        row_stride=SIZE * cells.itemsize,
+        row_stride=len(cells) * cells.itemsize,
         cell_stride=cells.itemsize,
         fields=_fields(layout),
         data=cells.T[::-1, ::-1].tobytes(),
     )
 
 
-def decode_heightmap(message: Grid) -> Heightmap:
-    """Raises LogError."""
+def decode_heightmap(message: Grid, rim: Grid | None) -> Heightmap:
+    """rim: None in logs that have none. Raises LogError."""
     has_goal = any(field.name == "goal" for field in message.fields)
-    dtype = np.dtype([*_CELL, _GOAL] if has_goal else _CELL)
-    if len(message.data) != SIZE * SIZE * dtype.itemsize or message.cell_stride != dtype.itemsize:
-        raise LogError(
-            f"heightmap of {len(message.data)} bytes; expected {SIZE}x{SIZE} cells of "
-            f"{dtype.itemsize} bytes"
-        )
-    cells = np.frombuffer(message.data, dtype).reshape(SIZE, SIZE)[::-1, ::-1].T
+    cells = _decode_grid(message, SIZE, [*_CELL, _GOAL] if has_goal else _CELL)
     corner = message.pose.position
     return Heightmap(
         workspace=Workspace(x_min=corner.x, y_min=corner.y, table_z=corner.z),
         color=np.stack([cells["red"], cells["green"], cells["blue"]], axis=-1),
-        height=np.ascontiguousarray(cells["elevation"], np.float32),
+        height=_elevation(cells),
         goal=cells["goal"].astype(np.bool_) if has_goal else None,
+        rim=None if rim is None else _elevation(_decode_grid(rim, WIDE, _RIM)),
     )
+
+
+def _elevation(cells: npt.NDArray[np.void]) -> npt.NDArray[np.float32]:
+    return np.ascontiguousarray(cells["elevation"], np.float32)
+
+
+def _decode_grid(message: Grid, side: int, layout: list[tuple[str, str]]) -> npt.NDArray[np.void]:
+    """(side, side) cells. Raises LogError."""
+    cell = np.dtype(layout)
+    size, stride = len(message.data), message.cell_stride
+    if size != side * side * cell.itemsize or stride != cell.itemsize:
+        raise LogError(
+            f"heightmap of {size} bytes in cells of {stride}; expected {side}x{side} cells of "
+            f"{cell.itemsize} bytes"
+        )
+    return np.frombuffer(message.data, cell).reshape(side, side)[::-1, ::-1].T
 
 
 def encode_points(heightmap: Heightmap, time: int) -> PointCloud:

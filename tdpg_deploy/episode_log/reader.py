@@ -176,6 +176,7 @@ def _look(parts: _Parts, closing: Message) -> Look | None:
     if data is None:
         return None
     color, depth, calibration, heightmap = data
+    rim = parts.take(closing, channels.HEIGHTMAP_RIM)  # not in the first logs
     frame = RgbdFrame(
         color=messages.decode_picture(messages.parse(CompressedImage, color)),
         depth=messages.decode_depth(messages.parse(RawImage, depth)),
@@ -184,7 +185,12 @@ def _look(parts: _Parts, closing: Message) -> Look | None:
         sequence=document.sequence,
         serial=document.serial,
     )
-    return Look(frame=frame, heightmap=messages.decode_heightmap(messages.parse(Grid, heightmap)))
+    return Look(
+        frame=frame,
+        heightmap=messages.decode_heightmap(
+            messages.parse(Grid, heightmap), None if rim is None else messages.parse(Grid, rim[0])
+        ),
+    )
 
 
 def _q_pictures(parts: _Parts, closing: Message) -> QPictures | None:

@@ -243,6 +243,9 @@ def _look(
 ) -> dict[str, Message]:
     """What a look shows, by topic."""
     seen = pictures.enlarge(heightmap.color)
+    rim = {}
+    if heightmap.rim is not None:
+        rim[channels.HEIGHTMAP_RIM] = messages.encode_rim(heightmap.rim, heightmap.workspace, time)
     return {
         channels.TRANSFORMS: messages.encode_transform(
             channels.BASE, channels.CAMERA, X_base_camera, time
@@ -253,5 +256,6 @@ def _look(
         channels.CALIBRATION: messages.encode_calibration(frame.intrinsics, time),
         channels.DEPTH: messages.encode_depth(frame.depth, time),
         channels.HEIGHTMAP: messages.encode_heightmap(heightmap, time),
+        **rim,
         channels.HEIGHTMAP_POINTS: messages.encode_points(heightmap, time),
     }

@@ -130,8 +130,7 @@ def packed_scene(
         room = workspace.side / 2 - SPAWN_MARGIN - np.hypot(*across) / 2
 
     whole = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
-    middle = np.array([workspace.x_min, workspace.y_min]) + workspace.side / 2
-    middle += rng.uniform(-room, room, 2)
+    middle = workspace.middle + rng.uniform(-room, room, 2)
     objects = []
     for index, (shape, turn, corner) in enumerate(zip(chosen, turns, corners, strict=True)):
         low = turn.apply(shape.vertices).min(axis=0)

@@ -57,28 +57,17 @@ def test_what_rises_is_the_block_alone() -> None:
     assert (rows.min(), rows.max(), cols.min(), cols.max()) == (100, 119, 100, 119)
 
 
-def test_a_grasp_is_allowed_on_the_goal_only() -> None:
-    goal = np.zeros((SIZE, SIZE), np.bool_)
-    goal[50:60, 50:60] = True
-    heightmap = table_with(BLOCK, (50, 50, 10, 10, 0.03), goal=goal)
-    mask = graspable(heightmap)
-    assert mask[:, 55, 55].all()
-    assert not mask[:, 110, 110].any()
-
-
-def test_where_no_finger_fits_beside_the_goal_what_surrounds_it_may_be_lifted() -> None:
+def test_with_a_goal_a_grasp_is_allowed_on_it_and_on_what_surrounds_it() -> None:
     goal = np.zeros((SIZE, SIZE), np.bool_)
     goal[100:120, 100:120] = True
     walls = (100, 60, 60, 40, 0.05), (100, 120, 60, 40, 0.05), (120, 100, 40, 20, 0.05)
     above, far = (60, 100, 40, 20, 0.05), (20, 20, 20, 20, 0.05)
     mask = graspable(table_with(BLOCK, *walls, above, far, goal=goal))
-    assert not (mask & goal).any()
+    assert not (mask & goal).any()  # no finger fits beside it
     assert mask[4, 88, 110]  # on its upper neighbour
     assert not mask[:, 70, 110].any()  # the same, but 60 mm from the goal
     assert not mask[:, 30, 30].any()
-    free = graspable(table_with(BLOCK, *walls[:2], far, goal=goal))
-    assert free[0, 110, 110]
-    assert not (free & ~goal).any()
+    assert graspable(table_with(BLOCK, *walls[:2], far, goal=goal))[0, 110, 110]
 
 
 def test_a_push_for_a_goal_meets_the_goal_or_what_surrounds_it() -> None:
@@ -233,6 +222,17 @@ def test_the_ten_best_grasps_are_ten_different_ones() -> None:
             assert not near
 
 
+def test_the_best_grasps_of_a_goal_come_before_better_ones_beside_it() -> None:
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[100:120, 100:120] = True
+    grasp = np.where(goal, np.float32(0.2), np.float32(0.8)) * np.ones(SHAPE, np.float32)
+    grasps = best_grasps(QMaps(grasp=grasp, push=grasp), rng(), goal=goal, count=2)
+    assert [bool(goal[g.row, g.col]) for g in grasps] == [True, True, False, False]
+    grasp[:, goal] = -np.inf
+    grasps = best_grasps(QMaps(grasp=grasp, push=grasp), rng(), goal=goal, count=2)
+    assert [bool(goal[g.row, g.col]) for g in grasps] == [False, False]
+
+
 def choice(kind: Literal["grasp", "push"], q: float) -> Choice:
     return Choice(kind=kind, rotation=0, row=0, col=0, q=q)
 
@@ -266,20 +266,22 @@ def test_critic_two_swaps_at_c(chosen: Choice, p_success: list[float], expected:
 
 
 @pytest.mark.parametrize(
-    ("chosen", "p_success", "expected"),
+    ("p_success", "expected"),
     [
-        (TEN[0], [0.9] * 10, TEN[0]),
-        (PUSH, [0.9] * 10, TEN[0]),
-        (TEN[0], [0.89] + [0.99] * 9, PUSH),
-        (PUSH, [0.5] * 10, PUSH),
+        ([0.9], TEN[0]),
+        ([0.89], PUSH),
+        ([0.9, 0.95], TEN[0]),
+        ([0.89, 0.9], TEN[1]),  # what is in the goal's way
+        ([0.5, 0.5], PUSH),
     ],
 )
-def test_the_best_grasp_is_made_if_critic_two_is_sure_of_it(
-    chosen: Choice, p_success: list[float], expected: Choice
+def test_the_first_grasp_is_made_that_critic_two_is_sure_of(
+    p_success: list[float], expected: Choice
 ) -> None:
-    judged = choose_if_sure(chosen, TEN, PUSH, np.array(p_success), least=0.9)
-    assert judged is expected
-    assert choose_if_sure(chosen, TEN, None, np.array(p_success), least=2.0) is TEN[0]
+    grasps = TEN[: len(p_success)]
+    for chosen in (TEN[0], PUSH):
+        assert choose_if_sure(chosen, grasps, PUSH, np.array(p_success), least=0.9) is expected
+    assert choose_if_sure(TEN[0], grasps, None, np.zeros(len(grasps)), least=0.9) is TEN[0]
 
 
 def test_a_doubtful_grasp_is_made_when_no_push_is_allowed() -> None:

@@ -9,7 +9,7 @@ from tables import WORKSPACE, table_with
 
 from policies.fingers import Ground, under_closed_gripper, under_open_gripper
 from policies.gripper import CLOSED_GRIPPER, OPEN_GRIPPER, Part, have_room
-from policies.heightmap import SIZE, Heightmap
+from policies.heightmap import INSIDE, SIZE, WIDE, Heightmap
 from policies.policy import ROTATIONS
 from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy.footprint import ground_under, rectangles
@@ -19,18 +19,21 @@ rotations = st.integers(0, 7)
 
 
 def hills(seed: int) -> Heightmap:
-    """Smooth ground, some of it unseen: no two pixels side by side differ by 3 mm."""
+    """Smooth ground, some of the map unseen: no two pixels side by side differ by 3 mm."""
     rng = np.random.default_rng(seed)
-    row, col = np.mgrid[:SIZE, :SIZE]
-    height = np.zeros((SIZE, SIZE))
+    row, col = np.mgrid[:WIDE, :WIDE]
+    rim = np.zeros((WIDE, WIDE), np.float32)
     for _ in range(4):
-        at = rng.uniform(0, SIZE, 2)
-        height += 0.06 * np.exp(-((row - at[0]) ** 2 + (col - at[1]) ** 2) / (2 * 25**2))
+        at = rng.uniform(0, WIDE, 2)
+        rim += 0.06 * np.exp(-((row - at[0]) ** 2 + (col - at[1]) ** 2) / (2 * 25**2))
+    height = rim[INSIDE, INSIDE].copy()
     height[rng.integers(SIZE) :, rng.integers(SIZE) :] = np.nan
+    rim[INSIDE, INSIDE] = np.nan
     return Heightmap(
         workspace=WORKSPACE,
         color=np.zeros((SIZE, SIZE, 3), np.uint8),
-        height=height.astype(np.float32),
+        height=height,
+        rim=rim,
     )
 
 

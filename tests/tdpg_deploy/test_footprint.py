@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.heightmap import SIZE, Heightmap, Workspace
+from policies.heightmap import RIM, SIZE, WIDE, Heightmap, Workspace
 from tdpg_deploy.footprint import Rectangle, ground_under
 
 WORKSPACE = Workspace(x_min=0.276, y_min=-0.224, table_z=-0.15)
@@ -50,3 +52,15 @@ def test_beyond_the_map_only_what_the_owner_vouches_for_is_known() -> None:
     outside = Rectangle(x=WORKSPACE.x_max + 0.03, y=0.0, yaw=0.0, along=0.02, across=0.02)
     assert ground_under(heightmap(), outside, clear_margin=0.0).unknown == 1.0
     assert ground_under(heightmap(), outside, clear_margin=0.05).unknown == 0.0
+
+
+def test_what_was_seen_beyond_the_map_is_known() -> None:
+    rim = np.full((WIDE, WIDE), np.nan, np.float32)
+    rim[:RIM] = 0.04  # away from the robot
+    seen = replace(heightmap(), rim=rim)
+    outside = Rectangle(x=WORKSPACE.x_max + 0.03, y=0.0, yaw=0.0, along=0.02, across=0.02)
+    ground = ground_under(seen, outside, clear_margin=0.0)
+    assert (ground.highest, ground.unknown) == (pytest.approx(0.04), 0.0)
+    beside = replace(outside, x=0.5, y=WORKSPACE.y_max + 0.03)
+    assert ground_under(seen, beside, clear_margin=0.0).unknown == 1.0
+    assert ground_under(seen, beside, clear_margin=0.05).highest == 0.0

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from policies.heightmap import PIXEL, SIZE, Heightmap
+from policies.heightmap import INSIDE, PIXEL, RIM, SIZE, Heightmap
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.errors import FrameError
 from tdpg_deploy.geometry import Array, Transform
@@ -115,6 +115,19 @@ def test_nothing_is_mirrored_or_shifted() -> None:
     assert float(x) == pytest.approx(0.6, abs=PIXEL / 2)
     assert float(y) == pytest.approx(0.1, abs=PIXEL / 2)
     assert len(rows) == pytest.approx(30 * 20, rel=0.1)
+
+
+def test_a_box_across_the_border_stands_in_the_map_and_in_its_rim() -> None:
+    box = box_at(0.5, WORKSPACE.y_max, 0.0, (0.06, 0.10, 0.05))  # one half inside, one outside
+    heightmap = build_heightmap(look(TABLE, box, HD, X_BASE_CAMERA), X_BASE_CAMERA, WORKSPACE)
+    assert heightmap.rim is not None
+    assert np.isnan(heightmap.rim[INSIDE, INSIDE]).all()
+    rows, cols = np.nonzero(heightmap.rim > 0.045)
+    assert heightmap.rim[rows, cols] == pytest.approx(0.05, abs=2e-4)
+    x, y = WORKSPACE.to_base(rows - RIM, cols - RIM)
+    assert (x.min(), x.max()) == pytest.approx((0.47, 0.53), abs=PIXEL)
+    assert (y.min(), y.max()) == pytest.approx((0.224, 0.274), abs=PIXEL)
+    assert len(rows) == pytest.approx(30 * 25, rel=0.1)
 
 
 def test_lens_distortion_is_undone() -> None:

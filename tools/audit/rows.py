@@ -168,7 +168,7 @@ def first_heightmap(episode: Episode) -> Heightmap | None:
     """Of the first look; None if there is none or it cannot be read."""
     try:
         for _, grid in episode.raw({channels.HEIGHTMAP}):
-            return messages.decode_heightmap(messages.parse(Grid, grid))
+            return messages.decode_heightmap(messages.parse(Grid, grid), None)
     except LogError:
         return None
     return None

@@ -34,6 +34,9 @@ class Stage(_Section):
     max_objects: int = Field(10, ge=1, le=30)
     packed: float = Field(0.0, ge=0, le=1, description="share of tables that are one tight pack")
     odd: float = Field(0.0, ge=0, le=1, description="share of tables of stones and stumps")
+    table_actions: int | None = Field(
+        None, ge=2, description="after which a table is taken away; none: it is played to its end"
+    )
 
     @model_validator(mode="after")
     def _least_is_not_above_most(self) -> Stage:

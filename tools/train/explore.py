@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from policies.decide import Choice, best, to_primitive
+from policies.decide import Choice, best_grasps, best_push, to_primitive
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision, QMaps
@@ -44,8 +44,10 @@ class Exploring:
         kinds = _kinds(self._stage, validating)
         if not validating and rng.random() < self._epsilon:
             choice = any_action(decision.maps, kinds, rng)
-        elif len(kinds) == 1:
-            choice = best(_values(decision.maps, kinds[0]), kinds[0], rng)
+        elif kinds == ("grasp",):
+            choice = _best_grasp(decision.maps, heightmap, rng)
+        elif kinds == ("push",):
+            choice = best_push(decision.maps, rng)
         else:
             return decision
         if choice is None:
@@ -59,6 +61,11 @@ class Exploring:
             q=choice.q,
             verdict=None,
         )
+
+
+def _best_grasp(maps: QMaps, heightmap: Heightmap, rng: np.random.Generator) -> Choice | None:
+    """On the goal, if there is one and a grasp on it is allowed."""
+    return next(iter(best_grasps(maps, rng, goal=heightmap.goal, count=1)), None)
 
 
 def any_action(maps: QMaps, kinds: Sequence[Kind], rng: np.random.Generator) -> Choice | None:

@@ -60,7 +60,8 @@ def play(task: RolloutTask) -> Experience:
         scene = _scene(task.stage, workspace_of(config), rng)
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
             for _ in _goals(cell, rng) if policy.goal else [None]:
-                cell.config = _with_budget(config, task.actions - note.actions)
+                left = task.actions - note.actions
+                cell.config = _with_budget(config, min(left, task.stage.table_actions or left))
                 result = run_episode(cell, player, rng=rng, log=note, goal=policy.goal)
                 if result.reason is EndReason.ACTION_LIMIT:
                     note.cut_short(_maps(policy, note, rng))

@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 from synthetic_episode import WORKSPACE, Synthetic
 
-from policies.heightmap import PIXEL, SIZE, Heightmap, Workspace
+from policies.heightmap import PIXEL, SIZE, WIDE, Heightmap, Workspace
 from tdpg_deploy.episode_log import messages
 from tdpg_deploy.episode_log.channels import CAMERA, TOOL
 from tdpg_deploy.errors import LogError
@@ -187,7 +187,12 @@ def test_heightmaps_are_lossless(seed: int, goal: bool, corner: tuple[float, ...
         height=height,
         goal=rng.random((SIZE, SIZE)) < 0.1 if goal else None,
     )
-    back = messages.decode_heightmap(messages.encode_heightmap(heightmap, 7))
+    grid = messages.encode_heightmap(heightmap, 7)
+    assert messages.decode_heightmap(grid, None).rim is None
+    rim = rng.random((WIDE, WIDE), np.float32)
+    back = messages.decode_heightmap(grid, messages.encode_rim(rim, heightmap.workspace, 7))
+    assert back.rim is not None
+    assert identical(back.rim, rim)
     assert back.workspace == heightmap.workspace
     assert identical(back.color, heightmap.color)
     assert identical(back.height, heightmap.height)
@@ -238,7 +243,12 @@ def test_points_lie_on_the_surface() -> None:
 
 def test_a_heightmap_of_another_size() -> None:
     with pytest.raises(LogError, match="expected 224x224 cells"):
-        messages.decode_heightmap(Grid(data=b"1234", cell_stride=8))
+        messages.decode_heightmap(Grid(data=b"1234", cell_stride=8), None)
+    height = np.zeros((SIZE, SIZE), np.float32)
+    color = np.zeros((SIZE, SIZE, 3), np.uint8)
+    grid = messages.encode_heightmap(Heightmap(workspace=WORKSPACE, color=color, height=height), 7)
+    with pytest.raises(LogError, match="expected 304x304 cells"):
+        messages.decode_heightmap(grid, grid)
 
 
 def test_other_bytes_are_no_message() -> None:
