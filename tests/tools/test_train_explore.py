@@ -59,7 +59,7 @@ class Greedy:
 def decide(
     stage: StageKind, epsilon: float, *, pushed: bool = False, policy: Greedy | None = None
 ) -> list[Decision]:
-    player = Exploring(policy or Greedy(), stage, epsilon, pushed=lambda: pushed)
+    player = Exploring(policy or Greedy(), stage, epsilon, prepared=lambda: pushed)
     rng = np.random.default_rng(0)
     return [player.decide(TABLE, rng) for _ in range(200)]
 

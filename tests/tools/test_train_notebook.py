@@ -44,14 +44,16 @@ def maps(best_grasp: float, at: int = 50) -> QMaps:
     return QMaps(push=np.zeros_like(grasp), grasp=grasp)
 
 
-def decision(kind: str, best_grasp: float, at: int = 50) -> Decision:
-    x, y = (float(value) for value in WORKSPACE.to_base(110, 110))
+def decision(kind: str, best_grasp: float, at: int = 50, *, beside: bool = False) -> Decision:
+    """In the middle of the goal, or beside it."""
+    place = 60 if beside else 110
+    x, y = (float(value) for value in WORKSPACE.to_base(place, place))
     make = Push if kind == "push" else Grasp
     return Decision(
         primitive=make(x=x, y=y, z=-0.1, yaw=0.0),
         rotation=0,
-        row=110,
-        col=110,
+        row=place,
+        col=place,
         q=0.0,
         maps=maps(best_grasp, at),
         verdict=None,
@@ -89,10 +91,11 @@ class Trial:
         best_at: int = 50,
         goal: bool | None = None,
         gone: Verdict | None = None,
+        beside: bool = False,
     ) -> Trial:
         """best_grasp, best_at: its value before the action, and its row; goal: what is seen of
-        it afterwards; gone: as in `outcome`."""
-        chosen = decision(kind, best_grasp, best_at)
+        it afterwards; gone: as in `outcome`; beside: the goal."""
+        chosen = decision(kind, best_grasp, best_at, beside=beside)
         self.note.intend(chosen, Plan(primitive=chosen.primitive, approach=()), stamp=0.0)
         self._look(goal)
         self.note.conclude(outcome(kind, success, gone=gone), stamp=1.0)
@@ -234,10 +237,28 @@ def test_with_a_goal_only_grasps_on_it_make_a_state_better(
     assert (push["reward"], push["next_look"]) == (pytest.approx(reward), following)
 
 
+@pytest.mark.parametrize(
+    ("success", "fetched", "reward"),
+    [(YES, YES, 1.0), (YES, NO, 0.5), (NO, YES, 0.0), (UNKNOWN, YES, 1.0)],
+)
+def test_a_grasp_that_clears_the_way_is_worth_what_follows_it(
+    success: Verdict, fetched: Verdict, reward: float
+) -> None:
+    """The goal's best grasp rises from 0.4 to 0.9; what moved nothing has no part in that."""
+    trial = Trial(PushReward(idle=0.0), goal=True)
+    trial.act("grasp", success, best_grasp=0.4, best_at=110, goal=True, beside=True)
+    assert trial.note.prepared
+    trial.act("grasp", fetched, best_grasp=0.9, best_at=110, goal=fetched is NO)
+    clearing, fetching = trial.end()
+    assert clearing["reward"] == pytest.approx(reward)
+    assert clearing["grasped"] == {YES: 1, NO: 0, UNKNOWN: -1}[success]
+    assert (fetching["reward"], fetching["grasped"]) == (fetched is YES, fetched is YES)
+
+
 def test_only_what_follows_a_push_validates_it() -> None:
     trial = Trial()
-    assert not trial.note.pushed
-    assert trial.act("push", YES).note.pushed
-    assert not trial.act("grasp", YES).note.pushed
+    assert not trial.note.prepared
+    assert trial.act("push", YES).note.prepared
+    assert not trial.act("grasp", YES).note.prepared
     trial.act("push", YES).end()
-    assert not trial.note.pushed  # another trial
+    assert not trial.note.prepared  # another trial

@@ -65,7 +65,8 @@ class PushReward(_Section):
     rose: the best grasp's value rose, by more than `least_rise` (paper, eq. 3, which asks for no
     more than a rise: between two looks at the same table noise makes every other one). validated:
     the grasp that followed succeeded (eq. 4). changed: something moved (VPG; nothing in this
-    paper). idle: share of all this for a push that moved nothing; the paper does not ask.
+    paper). idle: share of all this for a push that moved nothing; the paper does not ask. With a
+    goal, a grasp that clears the way to it is worth what a push is.
     """
 
     rose: float = Field(0.5, ge=0)

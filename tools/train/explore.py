@@ -28,19 +28,19 @@ class Exploring:
     """
 
     def __init__(
-        self, policy: Decider, stage: StageKind, epsilon: float, *, pushed: Callable[[], bool]
+        self, policy: Decider, stage: StageKind, epsilon: float, *, prepared: Callable[[], bool]
     ) -> None:
-        """pushed: whether the action before was a push."""
+        """prepared: whether the next action validates the one before."""
         self._policy = policy
         self._stage = stage
         self._epsilon = epsilon
-        self._pushed = pushed
+        self._prepared = prepared
 
     def decide(
         self, heightmap: Heightmap, rng: np.random.Generator, *, avoid: Sequence[Primitive] = ()
     ) -> Decision:
         decision = self._policy.decide(heightmap, rng, avoid=avoid)
-        validating = self._pushed()
+        validating = self._prepared()
         kinds = _kinds(self._stage, validating)
         if not validating and rng.random() < self._epsilon:
             choice = any_action(decision.maps, kinds, rng)

@@ -34,7 +34,7 @@ class Experience:
 @dataclass(kw_only=True)
 class _Step:
     """An action and what is known of it so far. value: of the best grasp, of the goal if there is
-    one, when it was chosen. idle: it was a push that moved nothing."""
+    one, when it was chosen. idle: it moved nothing."""
 
     transition: npt.NDArray[np.void]
     decision: Decision
@@ -46,12 +46,18 @@ class _Step:
     def is_push(self) -> bool:
         return isinstance(self.decision.primitive, Push)
 
+    @property
+    def prepares(self) -> bool:
+        """Whether it is worth what follows it: a push, or a grasp that clears the way to a goal."""
+        goal = self.before.goal
+        return self.is_push or not (goal is None or goal[self.decision.row, self.decision.col])
+
 
 class Notebook(NullRecorder):
     """An EpisodeRecorder that keeps looks and transitions, over any number of episodes.
 
     actions: concluded so far. A push is written down when what follows it is known: double-step
-    learning (paper, section III-C).
+    learning (paper, section III-C). So is a grasp that clears the way to a goal.
     """
 
     def __init__(self, reward: PushReward, rng: np.random.Generator) -> None:
@@ -67,9 +73,9 @@ class Notebook(NullRecorder):
         self._last: _Step | None = None  # concluded, what follows unknown
 
     @property
-    def pushed(self) -> bool:
-        """Whether the last action of this episode was a push, which the next one validates."""
-        return self._last is not None and self._last.is_push
+    def prepared(self) -> bool:
+        """Whether the next action of this episode validates the last one."""
+        return self._last is not None and self._last.prepares
 
     def observe(self, frame: RgbdFrame, heightmap: Heightmap) -> None:
         self._seen = heightmap
@@ -100,18 +106,19 @@ class Notebook(NullRecorder):
         assert step is not None
         self.actions += 1
         success = _taught(outcome)
+        step.idle = success is Verdict.NO
         if step.is_push:
-            step.idle = success is Verdict.NO
             step.transition["reward"] = self._reward.changed * (success is Verdict.YES)
         else:
-            step.transition["grasped"] = success is Verdict.YES
+            if success is not Verdict.UNKNOWN:
+                step.transition["grasped"] = success is Verdict.YES
             success = self._fetched(step, success)
             step.transition["reward"] = success is Verdict.YES
-        if self._last is not None and self._last.is_push:
+        if self._last is not None and self._last.prepares:
             self._validate(self._last, step, success)
-        if step.is_push or success is not Verdict.UNKNOWN:
+        if step.prepares or success is not Verdict.UNKNOWN:
             self._last = step
-            if not step.is_push:
+            if not step.prepares:
                 self._transitions.append(step.transition)
         else:
             self._last = None  # nothing to learn from
@@ -121,15 +128,15 @@ class Notebook(NullRecorder):
         self._doing = None
         if result.reason is EndReason.ACTION_LIMIT:
             return
-        if self.pushed and result.reason is not EndReason.DEVICE_ERROR:
+        if self.prepared and result.reason is not EndReason.DEVICE_ERROR:
             assert self._last is not None
             self._transitions.append(self._last.transition)
         self._last = None
 
     def cut_short(self, maps: QMaps | None) -> None:
         """A round ends, but not the trial. maps: of the last look, None if nothing was allowed.
-        A push that is not validated is forgotten."""
-        if self._last is not None and not self._last.is_push and maps is not None:
+        What is not validated is forgotten."""
+        if self._last is not None and not self._last.prepares and maps is not None:
             self._follow(self._last, maps)
         self._last = None
 
@@ -176,19 +183,19 @@ class Notebook(NullRecorder):
             push = best_push(maps, self._rng)
             if push is not None:
                 step.transition["next_push"] = push.rotation, push.row, push.col
-        if step.is_push and float(maps.grasp.max()) > step.value + self._reward.least_rise:
+        if step.prepares and float(maps.grasp.max()) > step.value + self._reward.least_rise:
             step.transition["reward"] += self._reward.rose * self._share(step)
 
-    def _validate(self, push: _Step, step: _Step, success: Verdict) -> None:
-        """Reward a push by the grasp that followed (paper, eq. 4)."""
+    def _validate(self, before: _Step, step: _Step, success: Verdict) -> None:
+        """Reward what prepared a grasp by the grasp that followed (paper, eq. 4)."""
         if success is Verdict.UNKNOWN and not step.is_push:
             return
         if not step.is_push and success is Verdict.YES:
-            push.transition["reward"] += self._reward.validated * self._share(push)
-        self._transitions.append(push.transition)
+            before.transition["reward"] += self._reward.validated * self._share(before)
+        self._transitions.append(before.transition)
 
-    def _share(self, push: _Step) -> float:
-        return self._reward.idle if push.idle else 1.0
+    def _share(self, step: _Step) -> float:
+        return self._reward.idle if step.idle else 1.0
 
 
 def _of_goal(maps: QMaps, seen: Heightmap) -> QMaps:

@@ -54,7 +54,7 @@ def play(task: RolloutTask) -> Experience:
     rng = np.random.default_rng(task.seed)
     policy = load_checkpoint(task.weights).policy()
     note = Notebook(task.push_reward, rng)
-    player = Exploring(policy, task.stage.kind, task.epsilon, pushed=lambda: note.pushed)
+    player = Exploring(policy, task.stage.kind, task.epsilon, prepared=lambda: note.prepared)
     while note.actions < task.actions:
         config = randomized(task.cell, task.randomization, rng)
         scene = _scene(task.stage, workspace_of(config), rng)
