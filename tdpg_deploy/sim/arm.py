@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tdpg_deploy.errors import ArmError, DeviceTimeout
@@ -68,7 +70,9 @@ class SimArm:
             raise ArmError(f"joints {q} rad are not six angles in [{low:.2f}, {high:.2f}]")
         share = trapezoid(np.abs(q - self.state().q).max(), speed, acceleration, TIME_STEP)
         rows = self._robot.carrier.along_joints(self._robot.joints()[0], q, share)
-        return self._run(rows, deadline=deadline, stop_force=None, on_state=on_state)
+        result = self._run(rows, deadline=deadline, stop_force=None, on_state=on_state)
+        self._q = q  # a gantry takes the short way round, the arm that it stands for does not
+        return replace(result, state=self.state())
 
     def move_linear(
         self,

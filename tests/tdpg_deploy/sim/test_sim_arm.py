@@ -53,6 +53,18 @@ def test_a_joint_move_ends_at_its_joints(carrier: str) -> None:
 
 
 @pytest.mark.parametrize("carrier", CARRIERS)
+def test_the_last_joint_goes_the_way_it_is_told(carrier: str) -> None:
+    """A tool that takes the short way round would wind up by a turn each time."""
+    home = np.array(MOCK.arm.home)
+    with running(carrier) as (_, arm, _):
+        for wrist in (3.0, -3.0) * 3:
+            goal = np.array([*home[:5], wrist])
+            result = arm.move_joints(goal, speed=3, acceleration=9, deadline=9)
+            assert_allclose(result.state.q, goal, atol=2e-3)
+            assert_allclose(arm.state().q, goal, atol=2e-3)
+
+
+@pytest.mark.parametrize("carrier", CARRIERS)
 def test_a_descent_onto_a_block_stops_on_force(carrier: str) -> None:
     with running(carrier, lying("cube")) as (world, arm, gripper):
         gripper.move(0, speed=0.15, force=20)
