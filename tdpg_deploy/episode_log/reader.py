@@ -82,7 +82,7 @@ class Episode:
         """Without messages on topics to ignore, and without chunks of nothing but `unread`."""
         try:
             with self.path.open("rb") as file:
-                skip = chunks_of(file, unread) if unread else frozenset()
+                skip = chunks_of(file, unread) if unread else {}
                 file.seek(0)
                 yield from read_records(file, skip=skip, ignore=ignore)
         except OSError as error:

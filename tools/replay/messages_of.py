@@ -33,7 +33,7 @@ def raw_messages(episode: Episode, *, images: bool = True) -> Iterator[RawMessag
     schemas: dict[int, Schema] = {}
     known: dict[int, Channel] = {}
     with episode.path.open("rb") as file:
-        skip = frozenset() if images else chunks_of(file, channels.IMAGES)
+        skip = {} if images else chunks_of(file, channels.IMAGES)
         file.seek(0)
         for record in read_records(file, skip=skip):
             if isinstance(record, Schema):
