@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack, nullcontext
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -35,8 +36,8 @@ def audit(args: argparse.Namespace, console: Console) -> bool:
         pages: list[Listed] | None = [] if args.html is not None else None
         tally = _read(args.logs, args, console, tables=tables, pages=pages)
         if args.sql is not None:
-            from tools.audit.sql import query
-
+            with _extra():
+                from tools.audit.sql import query
             show_answer(console, query(tables, args.sql))
         else:
             show_summary(console, args.logs, tally)
@@ -77,11 +78,17 @@ def _read(
 
 
 def _writer(tables: Path) -> TableWriter:
-    try:
+    with _extra():
         from tools.audit.parquet import TableWriter
+    return TableWriter(tables)
+
+
+@contextmanager
+def _extra() -> Iterator[None]:
+    try:
+        yield
     except ModuleNotFoundError as error:
         raise ConfigError(f"{error.name} is missing: pip install 'tdpg-deploy[audit]'") from error
-    return TableWriter(tables)
 
 
 def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
