@@ -115,6 +115,16 @@ def test_a_recording_that_cannot_be_written(
     assert "cannot be written" in capsys.readouterr().out
 
 
+def test_a_viewer_that_does_not_start(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rerun")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    assert main([str(log), "--rerun"]) == 2
+    assert "no viewer takes the episode" in capsys.readouterr().out
+
+
 # --- Foxglove ---------------------------------------------------------------------------------
 
 SERVE = """

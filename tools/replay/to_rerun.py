@@ -22,7 +22,6 @@ from tools.replay import telling
 from tools.replay.blueprint import FINGERS, FORCE, TIMELINE, TOLD, build_blueprint
 from tools.replay.messages_of import RawMessage, raw_messages
 
-
 DEADLINE = 30.0  # s for the viewer to take what was sent
 
 
