@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from tdpg_deploy.cell_config import CellConfig, parse_cell
+from tdpg_deploy.episode_log.documents import text
 from tdpg_deploy.errors import ConfigError, LogError
 
 SCHEMA_VERSION = 1  # of channels and documents; docs/log.md says what changed when
@@ -82,6 +83,8 @@ def from_metadata(
 ) -> About:
     """Raises LogError."""
     try:
+        for value in (*metadata.values(), *versions.values()):
+            text(value)
         check_version(metadata)
         scene = attachments.get(SCENE)
         seed = metadata.get("seed")
