@@ -19,8 +19,8 @@ from tdpg_deploy.episode_log import channels
 HOSTILE = "<b>&\"'</script><script>document.title='owned'</script>"
 
 TEXTS = [
-    "", HOSTILE, "../../../etc/passwd", "C:\\..\\x", "\u202e\x00\u2028\ud800", "[bold]x[/][link=a]",
-    "x" * 10_000_000, "a\n" * 1000,
+    "", HOSTILE, "../../../etc/passwd", "C:\\..\\x", "\u202e\x00\u2028\ud800",
+    "\x1b]0;owned\x07\x1b[2J", "[/x]", "x" * 10_000_000, "a\n" * 1000,
 ]  # fmt: skip
 NUMBERS = [0, -1, 2**31, 2**63, -(2**63), 1e308, -1e308, 5e-324, float("nan"), float("inf"), 1e-9]
 VALUES: list[Any] = [
@@ -110,8 +110,8 @@ def poisoned(topic: str, data: bytes, rng: Rng) -> bytes:
 
 
 def poisoned_text(text: str, rng: Rng) -> str:
-    value = [*TEXTS, *map(str, NUMBERS), LONG.decode(), text + HOSTILE][rng.integers(20)]
-    return value.encode(errors="replace").decode()
+    values = [*TEXTS, *map(str, NUMBERS), LONG.decode(), text + HOSTILE]
+    return values[int(rng.integers(len(values)))].encode(errors="replace").decode()
 
 
 def poisoned_json(data: bytes, rng: Rng) -> bytes:

@@ -25,7 +25,7 @@ from policies.primitives import Primitive
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.geometry import Transform
 
-MAX_TEXT = 10_000  # characters; nothing of ours comes near, and who shows a text need not fear it
+MAX_TEXT = 100_000  # characters; nothing of ours comes near, and who shows a text need not fear it
 
 T = TypeVar("T")
 _UNIMPORTED = {"Primitive": Primitive}  # what a module names in its types, but does not import
@@ -153,11 +153,14 @@ def _object_reader(kind: Any) -> Reader:
 
 
 def text(value: Any) -> str:
-    """Raises TypeError or ValueError for what is no text, or too long a one."""
-    checked: str = _expect(str, value)
-    if len(checked) > MAX_TEXT:
-        raise ValueError(f"a text of {len(checked)} characters; at most {MAX_TEXT} are read")
-    return checked
+    """What a terminal would obey, and what no file can hold, is replaced (U+FFFD). Raises TypeError
+    or ValueError for what is no text, or too long a one."""
+    told: str = _expect(str, value)
+    if len(told) > MAX_TEXT:
+        raise ValueError(f"a text of {len(told)} characters; at most {MAX_TEXT} are read")
+    if told.isprintable():
+        return told
+    return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in told)
 
 
 def _float(value: Any) -> float:

@@ -217,7 +217,7 @@ def _decompress(chunk: Chunk) -> bytes:
             chunk.data, max_output_size=chunk.uncompressed_size
         )
     else:
-        raise _Broken(f"a chunk compressed with {chunk.compression!r}; only zstd is read")
+        raise _Broken(f"a chunk compressed with {chunk.compression!r:.40}; only zstd is read")
     if len(data) != chunk.uncompressed_size:
         raise _Broken(f"a chunk of {len(data)} bytes that should have {chunk.uncompressed_size}")
     return data

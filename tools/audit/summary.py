@@ -67,7 +67,7 @@ def show_comparison(
 
 
 def show_answer(console: Console, answer: Answer) -> None:
-    table = Table(*answer.columns)
+    table = Table(*map(escape, answer.columns))
     for row in answer.rows:
         table.add_row(*(_cell(value) for value in row))
     console.print(table)
