@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import DecodeError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.writer import Writer
@@ -36,8 +37,8 @@ Item = tuple[Schema, Channel, Message]
 
 def poison_file(source: Path, target: Path, rng: Rng) -> None:
     """`target` is `source` with something wrong: one thing, or many, or their order."""
-    with source.open("rb") as file:
-        reader = make_reader(file)
+    with source.open("rb") as stream:
+        reader = make_reader(stream)
         metadata, attachments = list(reader.iter_metadata()), list(reader.iter_attachments())
         items = [
             (schema, channel, message)
@@ -45,8 +46,8 @@ def poison_file(source: Path, target: Path, rng: Rng) -> None:
             if schema is not None
         ]
     share = rng.choice([0.0, 0.01, 0.15])  # of contents that are changed
-    with target.open("wb") as file:
-        writer = Writer(file)
+    with target.open("wb") as stream:
+        writer = Writer(stream)
         writer.start()
         for one in metadata:
             content = {
@@ -54,9 +55,10 @@ def poison_file(source: Path, target: Path, rng: Rng) -> None:
                 for key, value in one.metadata.items()
             }
             writer.add_metadata(one.name, content)
-        for one in attachments:
-            data = poisoned_json(one.data, rng) if rng.random() < share else one.data
-            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, data)
+        for attached in attachments:
+            data = poisoned_json(attached.data, rng) if rng.random() < share else attached.data
+            times = attached.create_time, attached.log_time
+            writer.add_attachment(*times, attached.name, attached.media_type, data)
         _write(writer, shuffled(items, rng) if rng.random() < 0.5 else items, share, rng)
         writer.finish()  # type: ignore[no-untyped-call]
 
@@ -104,9 +106,12 @@ def shuffled(items: list[Item], rng: Rng) -> list[Item]:
 def poisoned(topic: str, data: bytes, rng: Rng) -> bytes:
     if rng.random() < 0.05:
         return DEEP if rng.random() < 0.5 else bytes(rng.bytes(200))
-    if topic in channels.PROTOBUF:
+    if topic not in channels.PROTOBUF:
+        return poisoned_json(data, rng)
+    try:
         return poisoned_protobuf(channels.PROTOBUF[topic].FromString(data), rng)
-    return poisoned_json(data, rng)
+    except DecodeError:  # another's content
+        return data
 
 
 def poisoned_text(text: str, rng: Rng) -> str:
@@ -158,7 +163,8 @@ def _any_field(message: Any, rng: Rng) -> tuple[Any, FieldDescriptor]:
 
 
 def _values(field: FieldDescriptor) -> list[Any]:
-    return {str: TEXTS, bytes: BYTES}.get(type(field.default_value), [*NUMBERS, 1, 7])
+    values: dict[type, list[Any]] = {str: list(TEXTS), bytes: list(BYTES)}
+    return values.get(type(field.default_value), [*NUMBERS, 1, 7])
 
 
 def _accepts(holder: Any, field: FieldDescriptor, value: Any) -> bool:
