@@ -59,7 +59,8 @@ def poison_file(source: Path, target: Path, rng: Rng) -> None:
             data = poisoned_json(attached.data, rng) if rng.random() < share else attached.data
             times = attached.create_time, attached.log_time
             writer.add_attachment(*times, attached.name, attached.media_type, data)
-        _write(writer, shuffled(items, rng) if rng.random() < 0.5 else items, share, rng)
+        disorder = share == 0 or rng.random() < 0.5
+        _write(writer, shuffled(items, rng) if disorder else items, share, rng)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
