@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     from rich.console import Console
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)  # of what a log says, none is ours
     try:
         code: int = args.run(args, console)
     except LogError as error:
@@ -90,7 +90,7 @@ def _tell(log: Path, report: Report, console: Console) -> None:
     condition = report.condition.name.lower()
     console.print(f"{log}: {condition}, {report.messages} messages can be read", soft_wrap=True)
     for damage in report.damage:
-        console.print(f"  {damage}", soft_wrap=True, markup=False)
+        console.print(f"  {damage}", soft_wrap=True)
 
 
 def _export(args: argparse.Namespace, console: Console) -> int:
@@ -111,14 +111,14 @@ def _export(args: argparse.Namespace, console: Console) -> int:
                     dataset.add(frames(read_episode(log)))
                 except LogError as error:
                     condition = Condition.LOSSY
-                    console.print(str(error), style="yellow", markup=False, soft_wrap=True)
+                    console.print(str(error), style="yellow", soft_wrap=True)
                 told = f"{log}: {dataset.frames - before} frames"
-                console.print(told, soft_wrap=True, markup=False)
+                console.print(told, soft_wrap=True)
     except OSError as error:
         raise LogError(f"{args.lerobot}: cannot be written ({error.strerror})") from error
     if not dataset.frames:
         return Condition.NOTHING.value
-    console.print(f"{args.lerobot}: {dataset.frames} frames", soft_wrap=True, markup=False)
+    console.print(f"{args.lerobot}: {dataset.frames} frames", soft_wrap=True)
     return condition.value
 
 
@@ -146,7 +146,7 @@ def _info(args: argparse.Namespace, console: Console) -> int:
         damage = error
     console.print(table)
     if damage is not None:
-        console.print(str(damage), markup=False, soft_wrap=True)
+        console.print(str(damage), soft_wrap=True)
         return 3
     return 0
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from tdpg_deploy.cell_config import CellConfig, parse_cell
+from tdpg_deploy.episode_log.documents import text
 from tdpg_deploy.errors import ConfigError, LogError
 
 SCHEMA_VERSION = 1  # of channels and documents; docs/log.md says what changed when
 
+MAX_FILE = 100_000  # bytes of a cell or scene file; ours have at most 8,000
 LATEST = 253_402_300_799  # s since the UNIX epoch: the end of the year 9999, and of calendars
 
 N = TypeVar("N", int, float)
@@ -82,11 +84,17 @@ def from_metadata(
 ) -> About:
     """Raises LogError."""
     try:
+        metadata = {key: text(value) for key, value in metadata.items()}
         check_version(metadata)
+        for name in (CELL, SCENE):
+            size = len(attachments.get(name, b""))
+            if size > MAX_FILE:
+                raise ValueError(f"{name} of {size} bytes; at most {MAX_FILE} are read")
         scene = attachments.get(SCENE)
         seed = metadata.get("seed")
+        cell = parse_cell(json.loads(attachments[CELL]), source=CELL)
         return About(
-            cell=parse_cell(json.loads(attachments[CELL]), source=CELL),
+            cell=cell.model_copy(update={"name": text(cell.name)}),
             policy=metadata["policy"],
             started_at=_within(float(metadata["started_at"]), 0, LATEST),
             checkpoint_sha256=metadata.get("checkpoint_sha256"),
@@ -94,7 +102,7 @@ def from_metadata(
             command=metadata.get("command", ""),
             scene=None if scene is None else scene.decode(),
             commit=metadata.get("commit"),
-            versions=dict(versions),
+            versions={name: text(version) for name, version in versions.items()},
         )
     except KeyError as error:
         raise LogError(f"the head of the log is incomplete: {error} is missing") from error

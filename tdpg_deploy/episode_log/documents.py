@@ -25,6 +25,8 @@ from policies.primitives import Primitive
 from tdpg_deploy.errors import LogError
 from tdpg_deploy.geometry import Transform
 
+MAX_TEXT = 100_000  # characters; nothing of ours comes near, and who shows a text need not fear it
+
 T = TypeVar("T")
 _UNIMPORTED = {"Primitive": Primitive}  # what a module names in its types, but does not import
 
@@ -110,10 +112,12 @@ def _reader(kind: Any) -> Reader:
         return _float
     if kind is int:
         return _integer
-    if kind in (str, bool):
-        return lambda value: _expect(kind, value)
+    if kind is str:
+        return text
+    if kind is bool:
+        return lambda value: _expect(bool, value)
     if issubclass(kind, Enum):
-        return cast(Reader, kind)
+        return lambda value: kind(text(value))
     return _object_reader(kind)
 
 
@@ -146,6 +150,17 @@ def _object_reader(kind: Any) -> Reader:
         return kind(**content)
 
     return read
+
+
+def text(value: Any) -> str:
+    """What a terminal would obey, and what no file can hold, is replaced (U+FFFD). Raises TypeError
+    or ValueError for what is no text, or too long a one."""
+    told: str = _expect(str, value)
+    if len(told) > MAX_TEXT:
+        raise ValueError(f"a text of {len(told)} characters; at most {MAX_TEXT} are read")
+    if told.isprintable():
+        return told
+    return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in told)
 
 
 def _float(value: Any) -> float:

@@ -143,7 +143,9 @@ def decode_depth(message: RawImage) -> npt.NDArray[np.float32]:
     """(H, W) float32 metres, nan where unknown. Raises LogError."""
     dtype = {"16UC1": "<u2", "32FC1": "<f4"}.get(message.encoding)
     if dtype is None:
-        raise LogError(f"depth image in {message.encoding!r}; this version reads 16UC1 and 32FC1")
+        raise LogError(
+            f"depth image in {message.encoding!r:.40}; this version reads 16UC1 and 32FC1"
+        )
     size = message.width * message.height * np.dtype(dtype).itemsize
     if len(message.data) != size or not size:
         raise LogError(

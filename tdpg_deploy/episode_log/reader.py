@@ -63,26 +63,29 @@ class Episode:
 
     def _entries(self, ignore: Set[str], closing: _Closing, images: bool) -> Iterator[Entry]:
         if images:
-            return _entries(self._records(ignore), closing)
+            return _entries(self.records(ignore=ignore), closing)
         unread = ignore | channels.IMAGES
-        return _entries(self._records(unread, unread=unread), closing | _WITHOUT_IMAGES)
+        return _entries(self.records(ignore=unread, unread=unread), closing | _WITHOUT_IMAGES)
 
     def raw(self, topics: Set[str]) -> Iterator[tuple[str, bytes]]:
         """Topic and content of the messages on these topics, in order, not decoded.
         Raises LogError."""
         others = (channels.PROTOBUF.keys() | channels.DOCUMENTS.keys()) - topics
         names: dict[int, str] = {}
-        for record in self._records(others, unread=others):
+        for record in self.records(ignore=others, unread=others):
             if isinstance(record, Channel):
                 names[record.id] = record.topic
             elif isinstance(record, Message) and names.get(record.channel_id) in topics:
                 yield names[record.channel_id], record.data
 
-    def _records(self, ignore: Set[str], *, unread: Set[str] = frozenset()) -> Iterator[McapRecord]:
-        """Without messages on topics to ignore, and without chunks of nothing but `unread`."""
+    def records(
+        self, *, ignore: Set[str] = frozenset(), unread: Set[str] = frozenset()
+    ) -> Iterator[McapRecord]:
+        """Without messages on topics to ignore, and without chunks of nothing but `unread`.
+        Raises LogError at damage, after all that lies before it."""
         try:
             with self.path.open("rb") as file:
-                skip = chunks_of(file, unread) if unread else frozenset()
+                skip = chunks_of(file, unread) if unread else {}
                 file.seek(0)
                 yield from read_records(file, skip=skip, ignore=ignore)
         except OSError as error:

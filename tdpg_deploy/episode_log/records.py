@@ -10,7 +10,8 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterator, Mapping, Set
+from types import MappingProxyType
 from typing import IO, Any
 
 import zstandard
@@ -38,6 +39,7 @@ _HEAD = struct.Struct("<BQ")  # opcode, length
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, starts of summary and offsets, checksum
 _CHUNK_INDEX = struct.Struct("<QQQQI")  # times, offset, length, bytes of the index offsets
 _INDEX_OFFSET = struct.Struct("<HQ")  # channel, offset
+_LENGTH = struct.Struct("<Q")  # bytes of the message indexes that follow a chunk
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
 _PARSERS: dict[int, Any] = {
     Opcode.HEADER: Header,
@@ -55,7 +57,7 @@ def read_records(
     stream: IO[bytes],
     *,
     on_damage: Callable[[str], None] | None = None,
-    skip: Set[int] = frozenset(),
+    skip: Mapping[int, int] = MappingProxyType({}),
     ignore: Set[str] = frozenset(),
 ) -> Iterator[McapRecord]:
     """Header, schemas, channels, messages, attachments, metadata, data end and footer, in file
@@ -63,9 +65,9 @@ def read_records(
 
     Raises LogError where the stream is no MCAP, is cut off or altered; what was yielded before is
     sound. With `on_damage`, a record whose contents are damaged is reported there and skipped,
-    and only the loss of the records' boundaries raises. `skip`: offsets of records to leave
-    unread; the checksum of the data section is then not compared. `ignore`: topics whose messages
-    are left out.
+    and only the loss of the records' boundaries raises. `skip`: places to leave unread,
+    offset -> bytes; the checksum of the data section is then not compared. `ignore`: topics whose
+    messages are left out.
     """
     if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise LogError("not an MCAP file: it does not start as one")
@@ -74,13 +76,14 @@ def read_records(
     ignored: set[int] = set()  # channels
     opcode = 0
     while opcode != Opcode.FOOTER:
+        if at in skip:
+            stream.seek(skip[at], io.SEEK_CUR)
+            at += skip[at]
+            continue
         try:
-            opcode, head, body = _read_frame(stream, unread=at in skip)
+            opcode, head, body = _read_frame(stream)
         except _Broken as error:
             raise LogError(f"damaged at byte {at}: {error}") from error
-        if at in skip:
-            at += len(head) + _HEAD.unpack(head)[1]
-            continue
         try:
             for record in _contents(opcode, body, ignored):
                 if isinstance(record, Channel) and record.topic in ignore:
@@ -110,12 +113,13 @@ class _Broken(Exception):
 _UNREADABLE = (_Broken, McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
 
 
-def chunks_of(stream: IO[bytes], topics: Set[str]) -> Set[int]:
-    """Offsets of the chunks that hold nothing but messages on `topics`, as the summary has it;
-    none if there is no sound summary. The first chunk, which declares the channels, is never
-    among them. The stream must be able to seek; its place is lost."""
+def chunks_of(stream: IO[bytes], topics: Set[str]) -> dict[int, int]:
+    """Chunks that hold nothing but messages on `topics`, as the summary has it: offset -> bytes,
+    with the message indexes that follow. None if there is no sound summary. The first chunk, which
+    declares the channels, is never among them. The stream must be able to seek; its place is lost.
+    """
     channels: dict[int, str] = {}
-    chunks: list[tuple[int, list[int]]] = []  # offset, channels
+    chunks: list[tuple[int, int, list[int]]] = []  # offset, bytes, channels
     try:
         stream.seek(-_FOOTER.size - len(MCAP0_MAGIC), io.SEEK_END)
         _, _, summary_start, _, _ = _FOOTER.unpack(stream.read(_FOOTER.size))
@@ -126,31 +130,31 @@ def chunks_of(stream: IO[bytes], topics: Set[str]) -> Set[int]:
                 declared = Channel.read(ReadDataStream(io.BytesIO(body)))
                 channels[declared.id] = declared.topic
             elif opcode == Opcode.CHUNK_INDEX:
-                _, _, offset, _, length = _CHUNK_INDEX.unpack_from(body)
+                _, _, offset, size, length = _CHUNK_INDEX.unpack_from(body)
                 held = _INDEX_OFFSET.iter_unpack(body[_CHUNK_INDEX.size :][:length])
-                chunks.append((offset, [channel for channel, _ in held]))
+                size += _LENGTH.unpack_from(body, _CHUNK_INDEX.size + length)[0]
+                if not 0 < size <= summary_start - offset:
+                    raise _Broken(f"a chunk of {size} bytes at {offset}")
+                chunks.append((offset, size, [channel for channel, _ in held]))
             elif opcode == Opcode.FOOTER:
                 break
     except (OSError, *_UNREADABLE):
-        return frozenset()
+        return {}
     return {
-        offset
-        for offset, held in sorted(chunks)[1:]
+        offset: size
+        for offset, size, held in sorted(chunks)[1:]
         if held and all(channels.get(channel, "") in topics for channel in held)
     }
 
 
-def _read_frame(stream: IO[bytes], *, unread: bool = False) -> tuple[int, bytes, bytes]:
-    """Opcode; the record's head; the record's body, empty if it is to stay unread."""
+def _read_frame(stream: IO[bytes]) -> tuple[int, bytes, bytes]:
+    """Opcode; the record's head; the record's body."""
     head = stream.read(_HEAD.size)
     if len(head) < _HEAD.size:
         raise _Broken("cut off")
     opcode, length = _HEAD.unpack(head)
     if length > LIMIT:
         raise _Broken(f"a record of {length} bytes; at most {LIMIT} are read")
-    if unread:
-        stream.seek(length, io.SEEK_CUR)
-        return opcode, head, b""
     body = stream.read(length)
     if len(body) < length:
         raise _Broken(f"cut off within a record of {length} bytes, after {len(body)}")
@@ -213,7 +217,7 @@ def _decompress(chunk: Chunk) -> bytes:
             chunk.data, max_output_size=chunk.uncompressed_size
         )
     else:
-        raise _Broken(f"a chunk compressed with {chunk.compression!r}; only zstd is read")
+        raise _Broken(f"a chunk compressed with {chunk.compression!r:.40}; only zstd is read")
     if len(data) != chunk.uncompressed_size:
         raise _Broken(f"a chunk of {len(data)} bytes that should have {chunk.uncompressed_size}")
     return data

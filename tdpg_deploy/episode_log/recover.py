@@ -46,10 +46,14 @@ def check(path: Path) -> Report:
     messages = sum(isinstance(record, Message) for record in _salvage(path, damage))
     if not damage:
         try:
-            for _ in read_episode(path).entries():
-                pass
+            episode = read_episode(path)
         except LogError as error:
             return Report(messages=0, damage=(str(error),))
+        try:
+            for _ in episode.entries():
+                pass
+        except LogError as error:
+            damage.append(str(error))
     return Report(messages=messages, damage=tuple(damage))
 
 

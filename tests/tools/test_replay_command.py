@@ -236,14 +236,6 @@ def test_a_viewer_that_is_not_installed(
     assert "pip install 'tdpg-deploy[view]'" in said
 
 
-def test_a_recording_for_rerun(log: str, tmp_path: Path) -> None:
-    pytest.importorskip("rerun")
-    path = tmp_path / "out.rrd"
-    assert main([log, "--rrd", str(path)]) == 0
-    assert path.read_bytes().startswith(b"RRF")
-    assert path.stat().st_size > 100_000
-
-
 def test_raw_messages_are_all_there_and_channels_are_known_ahead(episode: Episode) -> None:
     messages = list(raw_messages(episode))
     topics = {message.topic for message in messages}

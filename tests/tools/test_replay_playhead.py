@@ -53,6 +53,25 @@ def test_a_paused_playhead_stands_still_and_goes_on_from_there() -> None:
     assert playhead.jumps == 0
 
 
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_speed_that_is_none_changes_nothing(speed: float) -> None:
+    wall = Wall()
+    playhead = Playhead(0, speed=2.0, now=wall.now)
+    playhead.control(play=True, speed=speed, seek=SECOND)
+    wall.sleep(1)
+    assert playhead.time == 3 * SECOND
+
+
+def test_nothing_is_left_out_by_who_begins_late() -> None:
+    wall, heard = Wall(), []
+    playhead = Playhead(0, speed=1.0, now=wall.now)
+    playhead.control(play=True, speed=1.0, seek=2 * SECOND)
+    wall.sleep(3)
+    notes = [Note(second * SECOND) for second in range(1, 6)]
+    assert play(notes, lambda note: heard.append(note.log_time // SECOND), playhead, wall.sleep)
+    assert heard == [1, 2, 3, 4, 5]  # the first, as the last one from before
+
+
 def test_messages_come_at_their_time() -> None:
     wall, heard = Wall(), []
     playhead = Playhead(0, speed=2.0, now=wall.now)

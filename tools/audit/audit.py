@@ -1,11 +1,13 @@
-"""What tdpg-audit does."""
+"""What tdpg-audit does. What only some options need is imported where they ask for it."""
 
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import track
@@ -13,13 +15,14 @@ from rich.progress import track
 from tdpg_deploy.errors import ConfigError
 from tools.audit.compare import compare
 from tools.audit.engines import Engine
-from tools.audit.parquet import TableWriter, query
 from tools.audit.rows import AuditedLog
 from tools.audit.run import audit_logs, find_logs
-from tools.audit.serve import serve
 from tools.audit.site_build import Listed, listed, write_site
 from tools.audit.summary import show_answer, show_comparison, show_summary
 from tools.audit.tally import Tally
+
+if TYPE_CHECKING:
+    from tools.audit.parquet import TableWriter
 
 
 def audit(args: argparse.Namespace, console: Console) -> bool:
@@ -27,10 +30,14 @@ def audit(args: argparse.Namespace, console: Console) -> bool:
     if args.serve and args.html is None:
         raise ConfigError("--serve shows what --html wrote: give --html DIR too")
     with ExitStack() as stack:
-        tables = args.out or Path(stack.enter_context(TemporaryDirectory(prefix="tdpg-audit-")))
+        tables = args.out
+        if tables is None and args.sql is not None:
+            tables = Path(stack.enter_context(TemporaryDirectory(prefix="tdpg-audit-")))
         pages: list[Listed] | None = [] if args.html is not None else None
-        tally = _read(args.logs, tables, args, console, pages)
+        tally = _read(args.logs, args, console, tables=tables, pages=pages)
         if args.sql is not None:
+            with _extra():
+                from tools.audit.sql import query
             show_answer(console, query(tables, args.sql))
         else:
             show_summary(console, args.logs, tally)
@@ -39,36 +46,53 @@ def audit(args: argparse.Namespace, console: Console) -> bool:
         if pages is not None:
             _write(args, pages, tally, console)
     if args.serve:
+        from tools.audit.serve import serve
+
         serve(args.html, args.port, console)
     return not tally.unreadable
 
 
 def _read(
     folder: Path,
-    tables: Path,
     args: argparse.Namespace,
     console: Console,
+    *,
+    tables: Path | None = None,
     pages: list[Listed] | None = None,
 ) -> Tally:
-    """Fills `tables`, and `pages` if there are to be any."""
+    """Fills the folder `tables`, and `pages`, if there are to be any."""
     logs = find_logs(folder)
     tally = Tally()
     audited = audit_logs(
         folder, logs, workers=min(args.workers, len(logs)), engine=Engine(args.engine)
     )
-    with TableWriter(tables) as writer:
+    with nullcontext() if tables is None else _writer(tables) as writer:
         for log in track(audited, "reading", len(logs), console=console, transient=True):
             tally.add(log)
             if isinstance(log, AuditedLog):
-                writer.add(log)
+                if writer is not None:
+                    writer.add(log)
                 if pages is not None:
                     pages.append(listed(log))
     return tally
 
 
+def _writer(tables: Path) -> TableWriter:
+    with _extra():
+        from tools.audit.parquet import TableWriter
+    return TableWriter(tables)
+
+
+@contextmanager
+def _extra() -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{error.name} is missing: pip install 'tdpg-deploy[audit]'") from error
+
+
 def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
-    with TemporaryDirectory(prefix="tdpg-audit-") as tables:
-        other = _read(args.compare, Path(tables), args, console)
+    other = _read(args.compare, args, console)
     for folder, one in ((args.logs, tally), (args.compare, other)):
         if not one.rows:
             raise ConfigError(f"{folder}: no complete episode to compare")

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy.stats import binomtest
-
 from tools.audit.tally import Tally
-from tools.evaluate.metrics import Estimate, Metrics, evaluate
+from tools.evaluate.metrics import Estimate, Metrics, evaluate, share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,15 +45,6 @@ def figures(metrics: Metrics) -> dict[str, Estimate]:
         "action efficiency, completed": completed.action_efficiency,
         "motions, completed": completed.motions,
     }
-
-
-def share(count: int, total: int) -> Estimate:
-    """With Wilson's interval; nan of nothing."""
-    if total == 0:
-        return Estimate(value=math.nan, low=math.nan, high=math.nan)
-    result = binomtest(count, total)
-    interval = result.proportion_ci(0.95, method="wilson")
-    return Estimate(value=result.statistic, low=interval.low, high=interval.high)
 
 
 def difference(one: Estimate, other: Estimate) -> Estimate:

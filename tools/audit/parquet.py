@@ -1,16 +1,15 @@
-"""Records <-> Parquet, and SQL over it by DuckDB."""
+"""Records -> Parquet."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable
+from dataclasses import asdict, fields
 from datetime import datetime
 from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, get_type_hints
 
-import duckdb
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -19,7 +18,6 @@ from tools.audit.rows import ActionRecord, AuditedLog, EpisodeRecord
 
 EPISODES, ACTIONS = "episodes.parquet", "actions.parquet"
 BATCH = 5_000  # actions in memory before they are written
-MAX_ROWS = 1_000  # of an answer that are shown
 
 _TYPES: dict[Any, pa.DataType] = {
     str: pa.string(),
@@ -82,26 +80,3 @@ class TableWriter:
 
 def _table(kind: type, records: Iterable[EpisodeRecord | ActionRecord]) -> pa.Table:
     return pa.Table.from_pylist([asdict(record) for record in records], schema=schema(kind))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """Of a query. more: whether rows were left out."""
-
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[Any, ...]]
-    more: bool
-
-
-def query(folder: Path, sql: str) -> Answer:
-    """Ask the tables `episodes` and `actions`. Raises ConfigError with DuckDB's complaint."""
-    with duckdb.connect() as connection:
-        for name, file in (("episodes", EPISODES), ("actions", ACTIONS)):
-            connection.from_parquet(str(folder / file)).create_view(name)
-        try:
-            result = connection.execute(sql)
-            rows = result.fetchmany(MAX_ROWS + 1)
-        except duckdb.Error as error:
-            raise ConfigError(f"--sql: {error}") from error
-        columns = tuple(str(column[0]) for column in result.description or ())
-    return Answer(columns=columns, rows=rows[:MAX_ROWS], more=len(rows) > MAX_ROWS)

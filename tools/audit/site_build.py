@@ -74,9 +74,7 @@ def write_site(
         slugs = [slug(log.record.episode) for log in logs]
         pages = (
             Page(listed=log, out=out, earlier=earlier, later=later)
-            for log, earlier, later in zip(
-                logs, [None, *slugs[:-1]], [*slugs[1:], None], strict=True
-            )
+            for log, earlier, later in zip(logs, [None, *slugs], [*slugs[1:], None], strict=False)
         )
         yield from in_parallel(_write_page, pages, workers=workers, engine=engine)
     except OSError as error:

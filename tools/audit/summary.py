@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from tools.audit.compare import Comparison, figures
-from tools.audit.parquet import Answer
 from tools.audit.tally import Causes, Tally
 from tools.evaluate.metrics import Estimate, evaluate
+
+if TYPE_CHECKING:
+    from tools.audit.sql import Answer
 
 
 def show_summary(console: Console, folder: Path, tally: Tally) -> None:
@@ -65,7 +67,7 @@ def show_comparison(
 
 
 def show_answer(console: Console, answer: Answer) -> None:
-    table = Table(*answer.columns)
+    table = Table(*map(escape, answer.columns))
     for row in answer.rows:
         table.add_row(*(_cell(value) for value in row))
     console.print(table)

@@ -2,16 +2,18 @@
 
 Every figure is given twice: over completed episodes, as the papers define it, and over all
 episodes, which does not forget the failures.
+
+scipy.stats takes half a second to import: it is left to the functions, for those who want rows.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap
 
 from tdpg_deploy.outcome import EndReason
 
@@ -88,14 +90,23 @@ def evaluate(rows: Sequence[EpisodeRow]) -> Metrics:
     if not rows:
         raise ValueError("no episodes to evaluate")
     completed = [row for row in rows if row.completed]
-    share = binomtest(len(completed), len(rows))
-    interval = share.proportion_ci(0.95, method="wilson")
     return Metrics(
-        completion=Estimate(value=share.statistic, low=interval.low, high=interval.high),
+        completion=share(len(completed), len(rows)),
         of_completed=_figures(completed),
         of_all=_figures(rows),
         reasons=dict(Counter(row.reason for row in rows)),
     )
+
+
+def share(count: int, total: int) -> Estimate:
+    """With Wilson's interval; nan of nothing."""
+    from scipy.stats import binomtest
+
+    if total == 0:
+        return Estimate(value=math.nan, low=math.nan, high=math.nan)
+    result = binomtest(count, total)
+    interval = result.proportion_ci(0.95, method="wilson")
+    return Estimate(value=result.statistic, low=interval.low, high=interval.high)
 
 
 def _figures(rows: Sequence[EpisodeRow]) -> Figures:
@@ -109,8 +120,10 @@ def _figures(rows: Sequence[EpisodeRow]) -> Figures:
 
 def _mean(values: Sequence[float]) -> Estimate:
     """Mean with a bootstrapped interval (BCa, 2,000 resamples, seeded)."""
+    from scipy.stats import bootstrap
+
     if not values:
-        return Estimate(value=np.nan, low=np.nan, high=np.nan)
+        return Estimate(value=math.nan, low=math.nan, high=math.nan)
     mean = float(np.mean(values))
     if np.ptp(values) == 0:  # nothing to resample
         return Estimate(value=mean, low=mean, high=mean)

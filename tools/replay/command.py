@@ -19,6 +19,7 @@ from tdpg_deploy.errors import ConfigError, LogError, TdpgError
 from tools.replay import telling
 from tools.replay.assumptions import parse_offset, with_camera_moved
 from tools.replay.divergence import Divergence, Surroundings, first_divergence
+from tools.replay.messages_of import sound
 from tools.replay.redecide import redecide
 from tools.replay.telling import Line
 from tools.replay.terminal import Stepper, show_head
@@ -194,16 +195,19 @@ def _write_video(args: argparse.Namespace, episode: Episode, console: Console) -
 def _to_rerun(args: argparse.Namespace, episode: Episode, console: Console) -> int:
     from tools.replay.to_rerun import open_in_rerun, write_rrd
 
-    if args.rerun:
-        open_in_rerun(episode)
-    else:
-        write_rrd(episode, args.rrd)
-        console.print(f"{args.rrd}: open it with rerun", markup=False, soft_wrap=True)
-    return SAME
+    with sound(episode) as (whole, damage):
+        if args.rerun:
+            open_in_rerun(whole)
+        else:
+            write_rrd(whole, args.rrd)
+            console.print(f"{args.rrd}: open it with rerun", markup=False, soft_wrap=True)
+    return _damage(damage, console)
 
 
 def _to_foxglove(args: argparse.Namespace, episode: Episode, console: Console) -> int:
     from tools.replay.to_foxglove import serve
 
-    serve(episode, console, speed=args.speed, first=args.first)
+    with sound(episode) as (whole, damage):
+        _damage(damage, console)
+        serve(whole, console, speed=args.speed, first=args.first)
     return SAME

@@ -3,14 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from mcap.records import Channel, Message, Schema
 
 from tdpg_deploy.episode_log import channels
-from tdpg_deploy.episode_log.reader import Episode
-from tdpg_deploy.episode_log.records import chunks_of, read_records
+from tdpg_deploy.episode_log.reader import Episode, read_episode
+from tdpg_deploy.episode_log.recover import recover
 from tdpg_deploy.errors import LogError
+
+
+@contextmanager
+def sound(episode: Episode) -> Iterator[tuple[Episode, list[LogError]]]:
+    """For viewers with readers of their own: the episode, or what can be recovered of a damaged
+    log, in a file for the time being; and the damage."""
+    try:
+        for _ in episode.records():
+            pass
+    except LogError as error:
+        with TemporaryDirectory(prefix="tdpg-replay-") as folder:
+            copy = Path(folder) / episode.path.name.removesuffix(".part")
+            recover(episode.path, copy)
+            yield read_episode(copy), [error]
+    else:
+        yield episode, []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,37 +51,33 @@ def raw_messages(episode: Episode, *, images: bool = True) -> Iterator[RawMessag
     """In file order. Raises LogError at damage, after all that lies before it."""
     schemas: dict[int, Schema] = {}
     known: dict[int, Channel] = {}
-    with episode.path.open("rb") as file:
-        skip = frozenset() if images else chunks_of(file, channels.IMAGES)
-        file.seek(0)
-        for record in read_records(file, skip=skip):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                known[record.id] = record
-            elif isinstance(record, Message) and record.channel_id in known:
-                channel = known[record.channel_id]
-                yield RawMessage(
-                    channel=channel,
-                    schema=schemas.get(channel.schema_id),
-                    log_time=record.log_time,
-                    publish_time=record.publish_time,
-                    data=record.data,
-                )
+    for record in episode.records(unread=frozenset() if images else channels.IMAGES):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            known[record.id] = record
+        elif isinstance(record, Message) and record.channel_id in known:
+            channel = known[record.channel_id]
+            yield RawMessage(
+                channel=channel,
+                schema=schemas.get(channel.schema_id),
+                log_time=record.log_time,
+                publish_time=record.publish_time,
+                data=record.data,
+            )
 
 
 def channels_of(episode: Episode) -> dict[str, tuple[Channel, Schema | None]]:
     """By topic: those that the log names before its first message."""
     schemas: dict[int, Schema] = {}
     found: dict[str, tuple[Channel, Schema | None]] = {}
-    with episode.path.open("rb") as file:
-        for record in read_records(file):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                found[record.topic] = record, schemas.get(record.schema_id)
-            elif isinstance(record, Message):
-                break
+    for record in episode.records():
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            found[record.topic] = record, schemas.get(record.schema_id)
+        elif isinstance(record, Message):
+            break
     return found
 
 
@@ -76,4 +91,4 @@ def start_of(episode: Episode, number: int) -> int:
             steps += 1
             if steps == number:
                 return looked
-    raise LogError(f"{episode.path}: the log has no step {number}, only {steps}")
+    raise LogError(f"{episode.path.name}: the log has no step {number}, only {steps}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
+from math import inf
 from typing import Protocol, TypeVar
 
 TICK = 0.02  # s between looks at the playhead
@@ -39,12 +40,20 @@ class Playhead:
         with self._lock:
             return self._time()
 
+    @property
+    def start(self) -> int:
+        """Where it was when it was last moved, paused or let go."""
+        with self._lock:
+            return self._anchor[0]
+
     def control(self, *, play: bool, speed: float, seek: int | None) -> None:
-        """What a viewer asks for. seek: go there."""
+        """What a viewer asks for. seek: go there. A speed that is none changes nothing."""
         with self._lock:
             here = self._time() if seek is None else seek
             self._anchor = here, self._now()
-            self.playing, self.speed = play, speed
+            self.playing = play
+            if 0 < speed < inf:
+                self.speed = speed
             self.jumps += seek is not None
 
     def _time(self) -> int:
@@ -61,7 +70,7 @@ def play(
 ) -> bool:
     """Publish each message when the playhead reaches it; first, the last one of every topic from
     before. Returns False when the playhead jumped: play again from the first message."""
-    jumps, start = playhead.jumps, playhead.time
+    jumps, start = playhead.jumps, playhead.start
     earlier: dict[str, M] = {}
     for message in messages:
         if message.log_time < start:

@@ -28,7 +28,7 @@ STYLES = {
 
 def show_head(console: Console, episode: Episode) -> None:
     about = episode.about
-    console.print(f"[bold]{episode.path}[/]", soft_wrap=True)
+    console.print(str(episode.path), style="bold", markup=False, soft_wrap=True)
     weights = "" if about.checkpoint_sha256 is None else f" ({about.checkpoint_sha256[:12]})"
     seed = "unknown" if about.seed is None else about.seed
     console.print(

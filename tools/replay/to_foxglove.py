@@ -20,7 +20,7 @@ PORT = 8765  # Foxglove's own default
 def serve(
     episode: Episode, console: Console, *, speed: float, first: int = 1, port: int = PORT
 ) -> None:
-    """Until Ctrl-C. On loopback only. Raises ConfigError without foxglove-sdk."""
+    """Until Ctrl-C. On loopback only; port 0 takes any that is free. Raises ConfigError."""
     foxglove = _foxglove()
     times = [message.log_time for message in raw_messages(episode, images=False)]
     if not times:
@@ -28,13 +28,18 @@ def serve(
     start = times[0] if first == 1 else start_of(episode, first)
     playhead = Playhead(start, speed=speed, now=time.monotonic)
     playhead.control(play=False, speed=speed, seek=None)  # until somebody looks
-    server = foxglove.start_server(
-        name=episode.path.name,
-        port=port,
-        server_listener=_listener(foxglove, playhead, last=times[-1]),
-        capabilities=[foxglove.Capability.PlaybackControl, foxglove.Capability.Time],
-        playback_time_range=(times[0], times[-1]),
-    )
+    try:
+        server = foxglove.start_server(
+            name=episode.path.name,
+            port=port,
+            server_listener=_listener(foxglove, playhead, last=times[-1]),
+            capabilities=[foxglove.Capability.PlaybackControl, foxglove.Capability.Time],
+            playback_time_range=(times[0], times[-1]),
+        )
+    except RuntimeError as error:
+        raise ConfigError(
+            f"--foxglove: port {port} cannot be used ({error}). Does another replay run?"
+        ) from error
     console.print(
         f"open Foxglove on ws://127.0.0.1:{server.port}, with the layout that the log carries "
         "(tdpg_deploy/episode_log/layouts/foxglove.json); Ctrl-C ends",

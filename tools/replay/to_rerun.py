@@ -4,6 +4,8 @@ documents, are added as curves and text.
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -20,23 +22,35 @@ from tools.replay import telling
 from tools.replay.blueprint import FINGERS, FORCE, TIMELINE, TOLD, build_blueprint
 from tools.replay.messages_of import RawMessage, raw_messages
 
+DEADLINE = 30.0  # s for the viewer to take what was sent
+
 
 def write_rrd(episode: Episode, path: Path) -> None:
-    """Into a file, with the blueprint. Raises ConfigError without rerun-sdk."""
+    """Into a file, with the blueprint. Raises ConfigError."""
     rr = _rerun()
-    recording = _recording(rr, episode)
-    recording.save(path, default_blueprint=build_blueprint())
+    recording = rr.RecordingStream("tdpg-deploy")
+    try:
+        recording.save(path, default_blueprint=build_blueprint())
+    except RuntimeError as error:
+        raise ConfigError(f"--rrd {path}: cannot be written ({error})") from error
     _log(rr, recording, episode)
     recording.disconnect()
 
 
 def open_in_rerun(episode: Episode) -> None:
-    """In a viewer of its own. Raises ConfigError without rerun-sdk."""
+    """In the viewer that is open, or in a new one. Raises ConfigError."""
     rr = _rerun()
-    recording = _recording(rr, episode)
-    recording.spawn(default_blueprint=build_blueprint())
-    _log(rr, recording, episode)
-    recording.flush()
+    recording = rr.RecordingStream("tdpg-deploy")
+    beside = shutil.which("rerun", path=Path(sys.executable).parent)  # None: Rerun searches PATH
+    try:
+        rr.spawn(executable_path=beside, recording=recording, default_blueprint=build_blueprint())
+        _log(rr, recording, episode)
+        recording.flush(timeout_sec=DEADLINE)
+    except RuntimeError as error:
+        raise ConfigError(
+            f"--rerun: no viewer takes the episode ({error}). Without a screen, write a file with "
+            "--rrd OUT.rrd"
+        ) from error
 
 
 def _rerun() -> Any:
@@ -46,11 +60,8 @@ def _rerun() -> Any:
         raise ConfigError("Rerun needs rerun-sdk: pip install 'tdpg-deploy[view]'") from error
 
 
-def _recording(rr: Any, episode: Episode) -> Any:
-    return rr.RecordingStream("tdpg-deploy", recording_id=episode.path.stem)
-
-
 def _log(rr: Any, recording: Any, episode: Episode) -> None:
+    recording.send_recording_name(episode.path.stem)
     recording.log_file_from_path(episode.path)
     for message in raw_messages(episode, images=False):
         if message.topic in _TOLD:

@@ -22,7 +22,8 @@ from tdpg_deploy.outcome import GraspOutcome, Motion, Outcome, PushOutcome, Verd
 from tdpg_deploy.plan import MoveLinear, Plan
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
-motions = st.builds(Motion, contact=st.none() | st.text(), seconds=numbers)
+texts = st.text(st.characters(exclude_categories=["C", "Z"]))  # others are replaced: see below
+motions = st.builds(Motion, contact=st.none() | texts, seconds=numbers)
 outcomes: st.SearchStrategy[Outcome] = st.builds(
     GraspOutcome,
     motion=motions,
@@ -105,6 +106,24 @@ def test_neighbouring_versions_read_each_other() -> None:
 def test_wrong_documents_are_log_errors(data: bytes) -> None:
     with pytest.raises(LogError, match="not a GripperState document"):
         documents.decode(GripperState, data)
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        ("öffnen\t→ 3\n", "öffnen\t→ 3\n"),
+        ("\x1b[2J\x07\x00", "\ufffd[2J\ufffd\ufffd"),
+        ("\u202e\ud800", "\ufffd\ufffd"),
+    ],
+)
+def test_what_a_terminal_would_obey_is_replaced(written: str, read: str) -> None:
+    assert documents.text(written) == read
+
+
+def test_a_text_without_end_is_refused() -> None:
+    document = {"kind": "Motion", "contact": "x" * 100_001, "seconds": 1.0}
+    with pytest.raises(LogError, match="a text of 100001 characters"):
+        documents.decode(Motion, json.dumps(document).encode())
 
 
 json_values: st.SearchStrategy[Any] = st.recursive(

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tools.audit.compare import difference, share
-from tools.evaluate.metrics import Estimate
+from tools.audit.compare import difference
+from tools.evaluate.metrics import Estimate, share
 
 
 def test_newcombes_own_example() -> None:

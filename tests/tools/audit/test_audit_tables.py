@@ -120,6 +120,17 @@ def test_an_engine_that_is_not_installed(
     assert "pip install 'tdpg-deploy[ray]'" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("package", ["pyarrow", "duckdb"])
+def test_a_package_that_is_not_installed(
+    logs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], package: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    for module in ("tools.audit.parquet", "tools.audit.sql"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    assert main([str(logs), "--workers", "1", "--sql", "SELECT 1"]) == 2
+    assert f"{package} is missing: pip install 'tdpg-deploy[audit]'" in capsys.readouterr().out
+
+
 def test_sql(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     query = "SELECT a.kind, count(*) AS n FROM actions a JOIN episodes USING (episode) GROUP BY 1"
     assert main([str(logs), "--workers", "1", "--sql", query]) == 3
@@ -182,10 +193,11 @@ def test_help_is_light() -> None:
     assert run.stdout.strip() == "[]"
 
 
-def test_workers_load_neither_networks_nor_physics() -> None:
+def test_workers_load_what_they_need_and_no_more() -> None:
+    heavy = ["torch", "pybullet", "numba", "scipy.stats", "pyarrow", "duckdb", "rich"]
     code = (
         "import sys, tools.audit.run, tools.audit.site_build; "
-        "print([m for m in ('torch', 'pybullet', 'numba') if m in sys.modules])"
+        f"print([m for m in {heavy} if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
