@@ -16,7 +16,6 @@ import torch.nn.functional as F
 
 from policies.decide import (
     CONSIDERED,
-    C,
     Choice,
     choose_by_critic_one,
     choose_by_critic_two,
@@ -75,6 +74,8 @@ def border_occupancy(heightmap: Heightmap) -> float:
     return float(rising(heightmap)[border].mean()) if border.any() else 0.0
 
 
+SURE = 0.75  # P_success from which on a grasp is made: more fail below, more is pushed for above
+
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
 METHODS = {
     method.name: method
@@ -88,7 +89,7 @@ METHODS = {
         Method(
             name="tdpg-sure",
             choose=highest_value,
-            judge=partial(choose_if_sure, least=C),
+            judge=partial(choose_if_sure, least=SURE),
             considered=1,
         ),
     )
