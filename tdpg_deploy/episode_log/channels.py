@@ -96,3 +96,4 @@ def chunk_of(topic: str) -> str:
 BASE = "base"
 TOOL = "tool"
 CAMERA = "camera_color_optical_frame"
+MAP = "heightmap"  # of pictures on the heightmap's grid; Rerun warns of those without a frame

@@ -126,7 +126,9 @@ class EpisodeWriter:
         with self._guard():
             if self._heightmap is not None:
                 for topic, picture in pictures.q_maps(self._heightmap, decision).items():
-                    self._protobuf(topic, messages.encode_picture(picture, time, ""), time)
+                    self._protobuf(
+                        topic, messages.encode_picture(picture, time, channels.MAP), time
+                    )
             self._document(channels.DECISION, LoggedDecision.of(decision), time)
             self._document(channels.PLAN, PlanDocument(plan=plan, stamp=stamp), time)
             self._protobuf(channels.PLAN_SCENE, plan_scene.scene(plan, decision.q, time), time)
@@ -251,7 +253,7 @@ def _look(
             channels.BASE, channels.CAMERA, X_base_camera, time
         ),
         channels.PREVIEW: messages.encode_preview(frame.color, time, channels.CAMERA),
-        channels.HEIGHTMAP_COLOR: messages.encode_picture(seen, time, ""),
+        channels.HEIGHTMAP_COLOR: messages.encode_picture(seen, time, channels.MAP),
         channels.COLOR: messages.encode_picture(frame.color, time, channels.CAMERA),
         channels.CALIBRATION: messages.encode_calibration(frame.intrinsics, time),
         channels.DEPTH: messages.encode_depth(frame.depth, time),

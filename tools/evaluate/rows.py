@@ -30,6 +30,8 @@ def read_row(path: Path, *, scene: str) -> EpisodeRow:
             result = entry.result
     if result is None:
         raise LogError(f"{path}: the episode has no end: it was cut off")
+    if len(lifted) != result.actions:
+        raise LogError(f"{path}: it tells {len(lifted)} outcomes of {result.actions} actions")
     goal = had_goal(episode)
     return EpisodeRow(
         scene=scene,

@@ -15,7 +15,7 @@ import pytest
 from audited_logs import make_logs
 from synthetic_episode import ABOUT, Synthetic, write_about
 
-from tdpg_deploy.errors import ConfigError
+from tdpg_deploy.errors import ConfigError, LogError
 from tools.audit.cli import main
 from tools.audit.engines import Engine, in_parallel
 from tools.audit.parquet import ACTIONS, EPISODES
@@ -74,6 +74,15 @@ def test_a_goal_is_the_one_object_that_counts(tmp_path: Path) -> None:
     row, expected = audit_log(path, name="log").row, read_row(path, scene="")
     assert row is not None
     assert (row.goal, row.objects) == (expected.goal, expected.objects) == (True, 1)
+
+
+def test_a_log_that_lost_an_outcome_is_not_judged(tmp_path: Path) -> None:
+    synthetic = Synthetic()
+    calls = synthetic.episode(2)
+    calls.remove(next(call for call in calls if call.name == "conclude"))
+    write_about(tmp_path / "log.mcap", calls, replace(ABOUT, scene=None), now=synthetic.now)
+    with pytest.raises(LogError, match="1 outcomes of 2 actions"):
+        read_row(tmp_path / "log.mcap", scene="")
 
 
 def test_many_logs_take_little_memory(logs: Path) -> None:
