@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -34,14 +34,13 @@ Map = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One entry of the Q-maps. aside: a grasp beside the goal, which it clears the way to."""
+    """One entry of the Q-maps."""
 
     kind: Literal["grasp", "push"]
     rotation: int
     row: int
     col: int
     q: float
-    aside: bool = False
 
 
 # --- which actions are allowed ----------------------------------------------------------------
@@ -192,8 +191,7 @@ def best_grasps(
         return tuple(_best_apart(values, rng, count))
     nothing = np.float32(-np.inf)
     on, beside = np.where(goal, values, nothing), np.where(goal, nothing, values)
-    clearing = (replace(grasp, aside=True) for grasp in _best_apart(beside, rng, count))
-    return (*_best_apart(on, rng, count), *clearing)
+    return (*_best_apart(on, rng, count), *_best_apart(beside, rng, count))
 
 
 def _best_apart(values: Map, rng: np.random.Generator, count: int) -> Iterator[Choice]:
@@ -243,17 +241,13 @@ def choose_if_sure(
     *,
     least: float,
 ) -> Choice:
-    """Critic I's best grasp if Critic II gives it `least` or more, else the best push. Not of the
-    paper, whose rule looks for a better one among ten: the one of ten that looks best is the one
-    that Critic II is most likely to be wrong about.
-
-    With a goal: the best grasp of it on the same terms, else what Critic I values higher, the best
-    push or the best grasp of what is in the way, if Critic II gives that `least` or more.
+    """The first of the grasps to which Critic II gives `least` or more, else the best push. Not of
+    the paper, whose rule looks for a better one among ten: the one of ten that looks best is the
+    one that Critic II is most likely to be wrong about. So it is asked about Critic I's best, or
+    with a goal about the best on the goal, and then about the best of what is in its way.
     """
-    sure = [grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least]
-    if sure and not sure[0].aside:
-        return sure[0]
-    return choose_by_critic_one(sure, push) or grasps[0]
+    sure = (grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least)
+    return next(sure, grasps[0] if push is None else push)
 
 
 # --- from the map to the world ----------------------------------------------------------------

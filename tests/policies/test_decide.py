@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -229,7 +228,6 @@ def test_the_best_grasps_of_a_goal_come_before_better_ones_beside_it() -> None:
     grasp = np.where(goal, np.float32(0.2), np.float32(0.8)) * np.ones(SHAPE, np.float32)
     grasps = best_grasps(QMaps(grasp=grasp, push=grasp), rng(), goal=goal, count=2)
     assert [bool(goal[g.row, g.col]) for g in grasps] == [True, True, False, False]
-    assert [g.aside for g in grasps] == [False, False, True, True]
     grasp[:, goal] = -np.inf
     grasps = best_grasps(QMaps(grasp=grasp, push=grasp), rng(), goal=goal, count=2)
     assert [bool(goal[g.row, g.col]) for g in grasps] == [False, False]
@@ -280,21 +278,14 @@ def test_the_best_grasp_is_made_if_critic_two_is_sure_of_it(
 
 
 @pytest.mark.parametrize(
-    ("p_success", "q_push", "expected"),
-    [
-        ([0.9, 0.99], 1.5, 0),
-        ([0.89, 0.9], 0.5, 1),
-        ([0.89, 0.9], 1.5, PUSH.kind),
-        ([0.89, 0.89], 0.5, PUSH.kind),
-    ],
+    ("p_success", "expected"),
+    [([0.9, 0.99], TEN[0]), ([0.89, 0.9], TEN[1]), ([0.89, 0.89], PUSH)],
 )
-def test_what_is_in_the_goals_way_is_lifted_or_pushed(
-    p_success: list[float], q_push: float, expected: int | str
+def test_what_is_in_the_goals_way_is_lifted_where_that_is_sure(
+    p_success: list[float], expected: Choice
 ) -> None:
-    grasps = choice("grasp", 0.1), replace(choice("grasp", 1.0), aside=True)
-    push = choice("push", q_push)
-    judged = choose_if_sure(grasps[0], grasps, push, np.array(p_success), least=0.9)
-    assert judged is (push if expected == "push" else grasps[int(expected)])
+    judged = choose_if_sure(TEN[0], TEN[:2], PUSH, np.array(p_success), least=0.9)
+    assert judged is expected
 
 
 def test_a_doubtful_grasp_is_made_when_no_push_is_allowed() -> None:
