@@ -23,7 +23,8 @@ CONSIDERED = 10  # grasps that are fed into Critic II (paper, section III-B)
 RISE = 0.010  # m; what stands higher above the table is an object: four sigma of a D435 at 0.8 m
 NEAR = 0.010  # m; actions closer than this ...
 NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
-PUSH_HALF_WIDTH = 0.010  # m; about half of the closed fingers
+PUSH_HALF_WIDTH = 0.006  # m; about half of the closed fingers' flat front: the rest slides along
+PUSH_THROUGH = 0.03  # m at least that a push goes on from where it meets something
 IN_THE_WAY = 0.05  # m from the goal within which others may be lifted or pushed for its sake
 PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
 _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is read from
@@ -76,15 +77,15 @@ def graspable(heightmap: Heightmap) -> Mask:
 
 
 def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
-    """(16, 224, 224): a push starts on seen ground, meets something that stands higher than
-    its start by RISE within `length`, and ends well inside of the workspace. With a goal: it
-    meets the goal or what surrounds it."""
+    """(16, 224, 224): a push starts on seen ground, meets something that stands higher than its
+    start by RISE, goes on from there by PUSH_THROUGH, and ends, after `length`, well inside of the
+    workspace. With a goal: it meets the goal or what surrounds it."""
     ground = under_closed_gripper(heightmap)
     objects = np.where(_concerned(heightmap), heightmap.height, -np.inf).astype(np.float32)
     half_width = round(PUSH_HALF_WIDTH / PIXEL)
     swept = _widest(objects, half_width)
-    reach = length / PIXEL
-    steps = np.append(np.arange(half_width, reach, half_width), reach)
+    reach, meets = length / PIXEL, (length - PUSH_THROUGH) / PIXEL
+    steps = np.append(np.arange(half_width, meets, 2 * half_width), meets)
     side = np.arange(SIZE)
     masks = np.zeros((ROTATIONS, SIZE, SIZE), np.bool_)
     for rotation, mask in enumerate(masks):

@@ -108,9 +108,16 @@ def test_a_push_starts_beside_the_block_and_runs_into_it() -> None:
     assert mask[right, 110, 90]
     assert not mask[down, 130, 110]  # away from it
     assert not mask[up, 175, 110]  # 55 pixels below its edge: out of reach
-    assert mask[up, 165, 110]
+    assert not mask[up, 165, 110]  # in reach, but at its end
+    assert mask[up, 154, 110]
     assert not mask[:, 110, 110].any()  # on top of it nothing stands higher
     assert not mask[:, 10, 10].any()
+
+
+def test_a_push_that_would_slide_along_a_block_is_not_allowed() -> None:
+    mask = pushable(table_with(BLOCK))
+    assert mask[0, 140, 121]
+    assert not mask[0, 130:160, 124].any()  # 8 mm beside it
 
 
 def test_a_push_from_a_low_block_meets_a_higher_one() -> None:
