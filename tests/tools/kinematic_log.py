@@ -16,7 +16,7 @@ from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.reader import Episode, read_episode
 from tdpg_deploy.episode_log.writer import EpisodeWriter
 
-# The first stands at the border, beyond which nobody vouches for the ground: plans are refused.
+# The first stands at the border.
 BOXES = (Box(x=0.31, y=0.0), Box(x=0.5, y=0.1, height=0.04), Box(x=0.55, y=-0.1, height=0.07))
 
 

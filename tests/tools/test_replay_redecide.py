@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from policies.baselines import RandomPolicy
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision
+from policies.primitives import Primitive
 from policies.shipped import NamedPolicy, open_policy
 from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.entries import LoggedDecision, Step
@@ -26,6 +27,19 @@ from tdpg_deploy.workspace import workspace_of
 from tools.replay.assumptions import with_camera_moved
 from tools.replay.divergence import Cause, Divergence, Stage, Surroundings, first_divergence
 from tools.replay.redecide import goal_pixels, redecide
+
+
+class Overreaching(RandomPolicy):
+    """Chance, but what it thinks of first at each look is out of reach."""
+
+    def decide(
+        self, heightmap: Heightmap, rng: np.random.Generator, *, avoid: Sequence[Primitive] = ()
+    ) -> Decision:
+        decision = super().decide(heightmap, rng, avoid=avoid)
+        if avoid:
+            return decision
+        return replace(decision, primitive=replace(decision.primitive, x=2.0))
+
 
 CHANCE = NamedPolicy(name="random", decider=RandomPolicy(pushes=True), sha256=None)
 
@@ -51,7 +65,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> Episode:
 
 @pytest.fixture(scope="module")
 def chance(tmp_path_factory: pytest.TempPathFactory) -> Episode:
-    """Six random grasps and pushes, some of them refused, some futile."""
+    """Six random grasps and pushes, some of them futile."""
     path = tmp_path_factory.mktemp("logs") / "random.mcap"
     return write_log(path, CHANCE, actions=6, slippery=True)
 
@@ -74,9 +88,12 @@ def test_a_network_decides_the_same_bit_for_bit(learned: Episode, weights: Path)
     assert diverging(learned, load_checkpoint(weights).policy()) == []
 
 
-def test_chance_draws_the_same_through_refusals_and_futile_actions(chance: Episode) -> None:
-    steps = list(redecide(chance, RandomPolicy(pushes=True)))
-    assert diverging(chance, RandomPolicy(pushes=True)) == []
+def test_chance_draws_the_same_through_refusals_and_futile_actions(tmp_path: Path) -> None:
+    policy = Overreaching(pushes=True)
+    refused = replace(CHANCE, decider=policy)
+    episode = write_log(tmp_path / "refused.mcap", refused, actions=6, slippery=True)
+    steps = list(redecide(episode, policy))
+    assert diverging(episode, policy) == []
     assert len(steps) == 6
     assert sum(len(step.again) for step in steps) > 6  # some were refused
     assert all(step.step.outcome for step in steps)
