@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
+from policies.closure import holding
 from policies.fingers import under_closed_gripper, under_open_gripper
 from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
@@ -129,7 +130,8 @@ def _well_inside(pixels: npt.NDArray[np.float64]) -> Mask:
 
 
 def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> QMaps:
-    """The maps with -inf where no action is allowed, or one of `avoid` is near."""
+    """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
+    squeeze out what they close on are allowed when nothing else is left."""
     grasp = np.where(graspable(heightmap), maps.grasp, np.float32(-np.inf))
     if np.isneginf(maps.push).all():
         push = maps.push.copy()
@@ -143,7 +145,10 @@ def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) 
                 _strike_out(grasp, side, int(row), int(col))
         else:
             _strike_out(push, rotation, int(row), int(col))
-    return QMaps(push=push, grasp=grasp)
+    half = holding(heightmap, np.isfinite(grasp[:HALF_TURN]))
+    held = np.where(np.concatenate((half, half)), grasp, np.float32(-np.inf))
+    nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
+    return QMaps(push=push, grasp=grasp if nothing_else else held)
 
 
 def _strike_out(values: Map, rotation: int, row: int, col: int) -> None:
