@@ -47,10 +47,9 @@ def _between_the_pads(yaw: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.
 
 def _wedge(solid: Mask) -> Array:
     """(k,) radians between the two faces of what stands between the pads, (k, 6, n)."""
-    met = solid.any(axis=2)
-    first = _ALONG[solid.argmax(axis=2)]
-    last = _ALONG[::-1][solid[:, :, ::-1].argmax(axis=2)]
-    wedge: Array = np.abs(_turned(first, met) - _turned(last, met))
+    met = np.asarray(solid.any(axis=2))
+    first, last = solid.argmax(axis=2), solid[:, :, ::-1].argmax(axis=2)
+    wedge: Array = np.abs(_turned(_ALONG[first], met) - _turned(_ALONG[::-1][last], met))
     return wedge
 
 

@@ -195,6 +195,15 @@ def test_what_is_avoided_may_lie_outside_of_the_map() -> None:
     np.testing.assert_array_equal(before.grasp, after.grasp)
 
 
+def test_a_corner_is_grasped_only_when_nothing_else_is_left() -> None:
+    wide = table_with((80, 80, 50, 50, 0.05))  # 100 mm: wider than the fingers open
+    corners = graspable(wide)
+    assert corners.any()
+    assert not is_allowed(allowed(zeros(), wide).grasp).any()  # there are pushes
+    no_push = QMaps(grasp=zeros().grasp, push=np.full(SHAPE, -np.inf, np.float32))
+    np.testing.assert_array_equal(is_allowed(allowed(no_push, wide).grasp), corners)
+
+
 # --- choice -----------------------------------------------------------------------------------
 
 
