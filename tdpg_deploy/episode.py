@@ -192,8 +192,11 @@ class _Episode:
 def witnessed(
     outcome: Outcome, primitive: Primitive, before: Heightmap, after: Heightmap
 ) -> Outcome:
-    """The outcome with what the heightmaps say of it."""
+    """The outcome with what the heightmaps say of it. A goal that is held and no longer seen is
+    gone, whatever rose or rolled into its place."""
     if isinstance(outcome, GraspOutcome):
+        if outcome.held_by_width is Verdict.YES and took_goal(primitive, before, after):
+            return replace(outcome, gone_from_map=Verdict.YES)
         return replace(outcome, gone_from_map=gone(before, after, primitive))
     return replace(outcome, changed=changed(before, after, primitive))
 
@@ -205,7 +208,7 @@ def has_objects(heightmap: Heightmap) -> bool:
 
 
 def took_goal(primitive: Primitive, before: Heightmap, after: Heightmap) -> bool:
-    """Whether a successful action was a grasp on the goal, and the goal is no longer seen."""
+    """Whether an action was a grasp on the goal, and the goal is no longer seen."""
     if not isinstance(primitive, Grasp) or before.goal is None or after.goal is None:
         return False
     row, col = before.workspace.to_pixel(primitive.x, primitive.y)

@@ -36,7 +36,8 @@ class GraspOutcome:
     width_after_close, width_after_lift, width_at_release: metres between the pads; nan when
     not measured.
     held_by_width: whether something kept the pads apart after the lift.
-    gone_from_map: whether the heightmap around the grasp fell, seen by the next frame.
+    gone_from_map: whether the heightmap around the grasp fell, or the goal that was grasped is
+        not to be seen, in the next frame.
     """
 
     motion: Motion

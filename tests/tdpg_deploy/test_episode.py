@@ -25,12 +25,13 @@ from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy.cell import Cell, GoalPixels
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.choosing import MAX_REFUSALS
-from tdpg_deploy.episode import run_episode
+from tdpg_deploy.episode import run_episode, witnessed
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import CameraError, ConfigError, LogError, ProtectiveStop
 from tdpg_deploy.hal import ArmState, GripperState, RgbdFrame
-from tdpg_deploy.outcome import EndReason, GraspOutcome, Outcome, Verdict
+from tdpg_deploy.outcome import EndReason, GraspOutcome, Motion, Outcome, Verdict
 from tdpg_deploy.plan import Plan
+from tdpg_deploy.workspace import workspace_of
 
 CONFIG = kinematic_config()
 TABLE_Z = CONFIG.workspace.table_z
@@ -217,6 +218,34 @@ def test_a_goal_that_is_not_seen_is_lost() -> None:
     table = Table(CONFIG, Box(x=0.5, y=0.0))
     cell = kinematic_cell(table, goal_pixels=shows())
     assert run(cell, goal=True).reason is EndReason.GOAL_LOST
+
+
+@pytest.mark.parametrize(
+    ("held", "seen", "gone"),
+    [("yes", False, "yes"), ("yes", True, "no"), ("no", False, "no"), ("unknown", False, "no")],
+)
+def test_a_goal_that_is_held_and_no_longer_seen_is_gone(held: str, seen: bool, gone: str) -> None:
+    """Though the heightmap is as before: what it leant on rolled into its place."""
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[100:120, 100:120] = True
+    before = Heightmap(
+        workspace=workspace_of(CONFIG),
+        color=np.zeros((SIZE, SIZE, 3), np.uint8),
+        height=np.where(goal, 0.05, 0.0).astype(np.float32),
+        goal=goal,
+    )
+    after = replace(before, goal=goal & seen)
+    x, y = (float(value) for value in before.workspace.to_base(110, 110))
+    outcome = GraspOutcome(
+        motion=Motion(contact=None, seconds=5.0),
+        width_after_close=0.03,
+        width_after_lift=0.03,
+        held_by_width=Verdict(held),
+        gone_from_map=Verdict.UNKNOWN,
+    )
+    told = witnessed(outcome, Grasp(x=x, y=y, z=-0.1, yaw=0.0), before, after)
+    assert isinstance(told, GraspOutcome)
+    assert told.gone_from_map is Verdict(gone)
 
 
 def test_a_goal_that_nothing_can_tell_is_bad_input() -> None:
