@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from policies.heightmap import Heightmap
+from policies.heightmap import Heightmap, Workspace
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode_log import documents
 from tdpg_deploy.episode_log.about import About
@@ -144,7 +144,7 @@ def heightmap_difference(logged: Heightmap, again: Heightmap) -> str | None:
     """Of where they lie, of heights and of colours; None if they are the same bit for bit. The
     goal is taken from the log and not compared."""
     if logged.workspace != again.workspace:
-        return f"it covers {again.workspace}, in the log {logged.workspace}"
+        return f"it covers {_square(again.workspace)}, in the log {_square(logged.workspace)}"
     known = logged.valid & again.valid
     unlike = known & (logged.height != again.height)
     appeared, vanished = (again.valid & ~known).sum(), (logged.valid & ~known).sum()
@@ -152,9 +152,20 @@ def heightmap_difference(logged: Heightmap, again: Heightmap) -> str | None:
     if not (unlike.any() or appeared or vanished or colors.any()):
         return None
     most = float(np.abs(logged.height - again.height)[unlike].max(initial=0.0))
+    found = [
+        (unlike.sum(), f"heights differ, by up to {1000 * most:.3g} mm"),
+        (appeared, "pixels are seen that were not"),
+        (vanished, "pixels are seen no more"),
+        (colors.sum(), "colours differ"),
+    ]
+    return "; ".join(f"{count} {what}" for count, what in found if count)
+
+
+def _square(workspace: Workspace) -> str:
+    w = workspace
     return (
-        f"{unlike.sum()} heights differ, by up to {1000 * most:.3g} mm; {appeared} pixels are "
-        f"seen that were not, {vanished} no more; {colors.sum()} colours differ"
+        f"x {w.x_min:.4g} to {w.x_max:.4g}, y {w.y_min:.4g} to {w.y_max:.4g} m, "
+        f"table at {w.table_z:.4g} m"
     )
 
 

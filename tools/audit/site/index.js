@@ -87,6 +87,7 @@ function causeBars(counts) {
     }, cause),
     el("div", { class: "bar", style: `width:${(100 * n) / most}%` }),
     el("span", { class: "count" }, String(n)),
+    el("span", { class: "change" }, data.changes[cause]),
   ]));
 }
 
@@ -128,12 +129,15 @@ function list(episodes) {
       el("td", { class: "faded" }, time(e.started_at)),
       el("td", {}, e.policy),
       el("td", {}, ended(e)),
-      el("td", { title: e.evidence || "" }, e.cause || ""),
+      el("td", { title: e.evidence || "" }, e.cause || el("span", { class: "faded" }, onTheWay(e))),
       el("td", { class: "n" }, `${e.grasp_successes}/${e.grasps}`),
       el("td", { class: "n" }, String(e.pushes)),
       el("td", { class: "n" }, String(e.refused)),
       el("td", { class: "n" }, e.seconds === null ? "–" : e.seconds.toFixed(0)))))));
 }
+
+// An episode that was completed has no cause; some of its actions may have failed all the same.
+const onTheWay = (e) => Object.entries(e.action_causes).map(([cause, n]) => (n > 1 ? `${n} × ${cause}` : cause)).join(", ");
 
 function select(key, name, values) {
   return el("label", {}, name, el("select", { id: key, onchange: (event) => set(key, event.target.value) },
