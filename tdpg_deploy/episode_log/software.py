@@ -36,15 +36,17 @@ def versions() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Its model, and the widest instructions that it offers: what a network computes is the same
-    to the bit on the same one only. A name alone may be that of many ("AMD EPYC")."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+        return processor_of(Path("/proc/cpuinfo").read_text())
     except OSError:
         return platform.machine()
-    told = {
-        name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)
-    }
+
+
+def processor_of(cpuinfo: str) -> str:
+    """Model and widest instructions of the first one that Linux lists: what a network computes is
+    the same to the bit on the same ones only. A name alone may be that of many ("AMD EPYC")."""
+    lines = (line.partition(":") for line in cpuinfo.partition("\n\n")[0].splitlines())
+    told = {name.strip(): value.strip() for name, _, value in lines}
     offered = set(told.get("flags", "").split())
     parts = [
         told.get("model name", platform.machine()),

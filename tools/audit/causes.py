@@ -32,8 +32,8 @@ class Cause(Enum):
 WHAT_TO_CHANGE = {
     Cause.MISSED_GRASP: "all to the same side: calibrate anew (tdpg-calibrate verify tells); on "
     "some objects only: try another checkpoint (tdpg-replay --policy), train on such objects",
-    Cause.SLIP: "raise gripper.force, clean or renew the pads; grasps off the centre of heavy "
-    "objects: another checkpoint",
+    Cause.SLIP: "raise gripper.force, clean or renew the pads; at corners or off the centre only: "
+    "another checkpoint",
     Cause.COLLISION: "free what stands in the way; if the load was wanted, raise limits.push_force",
     Cause.FINGER_ON_OBJECT: "everywhere: check depth and height (tdpg-doctor, workspace.table_z); "
     "close to neighbours only: another checkpoint, or push first",

@@ -57,7 +57,7 @@ def _show_changes(console: Console, tally: Tally) -> None:
     causes = dict.fromkeys([*_by_count(tally.ends), *_by_count(tally.failures)])
     if not causes:
         return
-    table = Table("cause", "what to change", title="what to change")
+    table = Table("cause", "what to change")
     for cause in causes:
         table.add_row(cause, WHAT_TO_CHANGE[Cause(cause)])
     console.print(table)

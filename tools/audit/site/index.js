@@ -126,7 +126,7 @@ function list(episodes) {
           name, order.key === key ? (order.down ? " ↓" : " ↑") : ""))))),
     el("tbody", {}, sorted.map((e) => el("tr", {},
       el("td", {}, el("a", { href: `episodes/${e.slug}.html` }, e.episode)),
-      el("td", { class: "faded" }, time(e.started_at)),
+      el("td", { class: "faded when" }, time(e.started_at)),
       el("td", {}, e.policy),
       el("td", {}, ended(e)),
       el("td", { title: e.evidence || "" }, e.cause || el("span", { class: "faded" }, onTheWay(e))),
@@ -178,8 +178,8 @@ function draw() {
     el("div", { class: "grid two" },
       card("grasp success", ...trend(shown)),
       el("div", { class: "side" },
-        card(`why ${failed} of ${actions} actions failed`, causeBars(countCauses(shown))),
-        countEnds(shown).length ? card("why episodes failed", causeBars(countEnds(shown))) : null)),
+        card(`why ${failed} of ${actions} actions failed, and what to change`, causeBars(countCauses(shown))),
+        countEnds(shown).length ? card("why episodes failed, and what to change", causeBars(countEnds(shown))) : null)),
     el("div", { class: "grid" }, card("episodes", list(shown))),
     data.unreadable.length ? el("div", { class: "grid" }, card("not read", el("ul", {}, data.unreadable.map((why) => el("li", { class: "mono" }, why))))) : null));
 }
