@@ -30,7 +30,7 @@ class Cause(Enum):
 
 
 WHAT_TO_CHANGE = {
-    Cause.MISSED_GRASP: "all to the same side: calibrate anew (tdpg-calibrate verify tells); on "
+    Cause.MISSED_GRASP: "all to the same side: calibrate anew (tdpg-calibrate touch tells); on "
     "some objects only: try another checkpoint (tdpg-replay --policy), train on such objects",
     Cause.SLIP: "raise gripper.force, clean or renew the pads; at corners or off the centre only: "
     "another checkpoint",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from policies.heightmap import Heightmap, Workspace
+from tdpg_deploy.calibration_file import Calibration
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode_log import documents
 from tdpg_deploy.episode_log.about import About
@@ -239,12 +240,24 @@ def _calibration(logged: CellConfig, again: CellConfig) -> Iterator[str]:
             f"X_base_camera is {1000 * distance:.2f} mm and {np.degrees(angle):.3f} deg from "
             "the logged one"
         )
+    then, now = logged.camera.calibration, again.camera.calibration
+    if then != now:
+        yield f"the calibration file is {_described(now)}, in the log {_described(then)}"
+
+
+def _described(calibration: Calibration | None) -> str:
+    if calibration is None:
+        return "none"
+    text, depth = f"that of {calibration.date.isoformat(' ', 'minutes')}", calibration.depth
+    if depth is None:
+        return text
+    return f"{text} (depth: a = {depth.a:.6g}, b = {depth.b:.3g} 1/m)"
 
 
 def _config(logged: CellConfig, again: CellConfig) -> Iterator[str]:
     then, now = _leaves(logged.model_dump()), _leaves(again.model_dump())
     for name in sorted(then.keys() | now.keys()):
-        if name.startswith("camera.X_base_camera"):
+        if name.startswith(("camera.X_base_camera", "camera.calibration")):
             continue
         if then.get(name) != now.get(name):
             yield f"{name} is {now.get(name)}, in the log {then.get(name)}"
@@ -256,7 +269,7 @@ def _leaves(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, dict):
             leaves |= _leaves(value, f"{prefix}{name}.")
         else:
-            leaves[prefix + name] = value
+            leaves[f"{prefix}{name}"] = value
     return leaves
 
 
