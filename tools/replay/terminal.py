@@ -84,6 +84,7 @@ class Stepper:
         try:
             answer = self.console.input("[dim]Enter: next, a number: go there, q: quit[/] ").strip()
         except EOFError:
+            self.console.print()  # Ctrl-D leaves the cursor on the line
             return None
         if answer == "q":
             return None
