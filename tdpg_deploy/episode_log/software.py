@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import platform
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
@@ -21,6 +20,7 @@ PACKAGES = (
     "ur-rtde",
     "pyrealsense2",
 )
+INSTRUCTIONS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16")  # torch computes by the widest
 
 
 def versions() -> dict[str, str]:
@@ -36,12 +36,24 @@ def versions() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Its model: what a network computes is the same to the bit on the same one only."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.machine()
+    try:
+        return processor_of(Path("/proc/cpuinfo").read_text())
+    except OSError:
+        return platform.machine()
+
+
+def processor_of(cpuinfo: str) -> str:
+    """Model and widest instructions of the first one that Linux lists: what a network computes is
+    the same to the bit on the same ones only. A name alone may be that of many ("AMD EPYC")."""
+    lines = (line.partition(":") for line in cpuinfo.partition("\n\n")[0].splitlines())
+    told = {name.strip(): value.strip() for name, _, value in lines}
+    offered = set(told.get("flags", "").split())
+    parts = [
+        told.get("model name", platform.machine()),
+        *(f"{key} {told[key]}" for key in ("cpu family", "model", "stepping") if key in told),
+        *(name for name in INSTRUCTIONS if name in offered),
+    ]
+    return ", ".join(parts)
 
 
 def _version(package: str) -> str | None:

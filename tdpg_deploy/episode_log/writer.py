@@ -245,6 +245,8 @@ def _look(
 ) -> dict[str, Message]:
     """What a look shows, by topic."""
     seen = pictures.enlarge(heightmap.color)
+    if heightmap.goal is not None:
+        pictures.draw_goal(seen, heightmap.goal)
     rim = {}
     if heightmap.rim is not None:
         rim[channels.HEIGHTMAP_RIM] = messages.encode_rim(heightmap.rim, heightmap.workspace, time)

@@ -66,4 +66,5 @@ def run_every_command(log: Path, folder: Path) -> None:
     audited = audit_cli.main([logs, "--workers", "1", "--html", str(folder / "site")])
     assert audited in (0, 3)
     assert replay_cli.main([path]) in (0, 2, 3)
+    assert replay_cli.main([path, "--policy", "random"]) in (0, 1, 2, 3)
     assert evaluate_cli.main(["--logs", path, "--out", str(folder / "eval")]) in (0, 2)

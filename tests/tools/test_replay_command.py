@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +14,17 @@ import pytest
 from kinematic_log import write_log
 
 from policies.baselines import RandomPolicy
+from policies.errors import HeightmapError
 from policies.shipped import NamedPolicy
 from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.episode_log.reader import Episode, read_episode
+from tdpg_deploy.geometry import Transform
 from tdpg_deploy.outcome import PushOutcome
+from tdpg_deploy.plan import MoveLinear
 from tdpg_deploy.session import log_episode
 from tdpg_deploy.sim.scenes import random_scene
 from tdpg_deploy.workspace import workspace_of
+from tools.audit.causes import WHAT_TO_CHANGE, Cause, Finding
 from tools.replay.cli import main
 from tools.replay.messages_of import channels_of, raw_messages, start_of
 from tools.replay.reenact import TableFrom, reenact
@@ -62,6 +67,41 @@ def test_it_begins_where_it_is_told(log: str, capsys: pytest.CaptureFixture[str]
     assert "step 2" not in said
     _, said = run(capsys, log, "--from", "9")
     assert "the log has 3 steps" in said
+    _, said = run(capsys, log, "--from", "4")
+    assert "the log has 3 steps" in said
+
+
+def test_a_failed_step_says_what_to_change(
+    log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missed = Finding(cause=Cause.MISSED_GRASP, evidence="0 mm")
+    monkeypatch.setattr("tools.replay.telling.explain_action", lambda *_: (missed,))
+    _, said = run(capsys, log)
+    assert said.count(f"why missed grasp: 0 mm change {WHAT_TO_CHANGE[missed.cause][:20]}") == 3
+
+
+@pytest.mark.parametrize("option", [["--from", "x"], ["--from", "0"], ["--speed", "fast"]])
+def test_a_wrong_number(log: str, capsys: pytest.CaptureFixture[str], option: list[str]) -> None:
+    with pytest.raises(SystemExit) as exit:
+        main([log, *option])
+    assert exit.value.code == 2
+    assert f"{option[1]} is not a" in capsys.readouterr().err
+
+
+def test_step_by_step_past_the_end_and_without_an_answer(
+    log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["99"])
+    monkeypatch.setattr("builtins.input", lambda *_: next_or_end(answers))
+    code, said = run(capsys, log, "--step")
+    assert code == 0
+    assert re.findall(r"step \d|has \d steps", said) == ["step 1", "has 3 steps", "step 3"]
+
+
+def next_or_end(answers: Iterator[str]) -> str:
+    for answer in answers:
+        return answer
+    raise EOFError
 
 
 def test_step_by_step_with_a_jump(
@@ -139,6 +179,20 @@ def test_a_wrong_offset(log: str, capsys: pytest.CaptureFixture[str], offset: st
     assert "three lengths" in said
 
 
+def test_a_policy_for_another_task(
+    log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Fetching:
+        def decide(self, *_: object, **__: object) -> None:
+            raise HeightmapError("this policy fetches a goal")
+
+    fetching = NamedPolicy(name="fetch", decider=Fetching(), sha256=None)  # type: ignore[arg-type]
+    monkeypatch.setattr("tools.replay.command.open_policy", lambda _: fetching)
+    code, said = run(capsys, log, "--policy", "fetch")
+    assert code == 2
+    assert "fetch cannot decide on this log, which may be of another task: this policy" in said
+
+
 def test_a_file_that_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, said = run(capsys, tmp_path / "absent.mcap")
     assert code == 2
@@ -175,6 +229,29 @@ def test_a_simulated_episode_leads_to_the_same_table_bit_for_bit(tmp_path: Path)
     assert "differs" not in told
     otherwise = dict(tell_tried(replace(tried, logged=None), logged_by="a", commit="b"))
     assert "commit b, in the log a" in otherwise["differs"]
+
+
+@pytest.mark.parametrize("lift", [False, True])
+def test_a_logged_plan_that_nobody_would_run(
+    episode: Episode, monkeypatch: pytest.MonkeyPatch, lift: bool
+) -> None:
+    """Without its lift, or through the table: a log may hold anything."""
+    steps = list(episode.steps())
+    intent = steps[0].intent
+    assert intent is not None
+    approach = list(intent.plan.approach[:-1])
+    if lift:
+        last = intent.plan.approach[-1]
+        assert isinstance(last, MoveLinear)
+        below = Transform(last.X_base_tool.rotation, last.X_base_tool.translation - [0, 0, 1])
+        approach.append(replace(last, X_base_tool=below))
+    plan = replace(intent.plan, approach=tuple(approach))
+    altered = [replace(steps[0], intent=replace(intent, plan=plan))]
+    monkeypatch.setattr(Episode, "steps", lambda *_, **__: iter(altered))
+    tried = reenact(episode, 1)
+    assert tried.outcome is None
+    assert tried.error is not None
+    assert tried.error.startswith("PlanRefused: ")
 
 
 def test_a_step_that_is_not_there(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision
 from policies.primitives import Primitive
 from policies.shipped import NamedPolicy, open_policy
+from tdpg_deploy.calibration_file import Calibration, DepthSection
 from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.entries import LoggedDecision, Step
 from tdpg_deploy.episode_log.reader import Episode
@@ -25,7 +27,14 @@ from tdpg_deploy.hal import RgbdFrame
 from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.workspace import workspace_of
 from tools.replay.assumptions import with_camera_moved
-from tools.replay.divergence import Cause, Divergence, Stage, Surroundings, first_divergence
+from tools.replay.divergence import (
+    Cause,
+    Divergence,
+    Stage,
+    Surroundings,
+    differing,
+    first_divergence,
+)
 from tools.replay.redecide import goal_pixels, redecide
 
 
@@ -146,6 +155,19 @@ def test_another_heightmap_is_laid_to_what_differs(
     assert "by up to 1 mm" in first.found
     assert first.same_action  # decided on the logged heightmap
     assert first.within_tolerance
+
+
+def test_another_calibration_file_is_told_by_its_date(chance: Episode) -> None:
+    logged = Surroundings.of(chance.about)
+    date = datetime(2026, 5, 4, 12, 30, tzinfo=timezone.utc)
+    depth = DepthSection(a=1.01, b=-0.002, offset=0, rms=0, fill=1, left=0)
+    made = Calibration.model_construct(date=date, depth=depth, tags={0: ((0.0, 0.0),) * 4})
+    camera = logged.cell.camera.model_copy(update={"calibration": made})
+    again = replace(logged, cell=logged.cell.model_copy(update={"camera": camera}))
+    new = "that of 2026-05-04 12:30+00:00 (depth: a = 1.01, b = -0.002 1/m)"
+    assert differing(logged, again) == {
+        Cause.CALIBRATION: [f"the calibration file is {new}, in the log none"]
+    }
 
 
 def test_a_rounding_of_the_values_is_within_tolerance(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 from rich.progress import track
@@ -23,6 +23,8 @@ from tools.audit.tally import Tally
 
 if TYPE_CHECKING:
     from tools.audit.parquet import TableWriter
+
+T = TypeVar("T")
 
 
 def audit(args: argparse.Namespace, console: Console) -> bool:
@@ -67,7 +69,7 @@ def _read(
         folder, logs, workers=min(args.workers, len(logs)), engine=Engine(args.engine)
     )
     with nullcontext() if tables is None else _writer(tables) as writer:
-        for log in track(audited, "reading", len(logs), console=console, transient=True):
+        for log in _shown(audited, "reading", len(logs), console):
             tally.add(log)
             if isinstance(log, AuditedLog):
                 if writer is not None:
@@ -75,6 +77,12 @@ def _read(
                 if pages is not None:
                     pages.append(listed(log))
     return tally
+
+
+def _shown(done: Iterator[T], what: str, total: int, console: Console) -> Iterable[T]:
+    """With a bar, where a person looks on."""
+    hidden = not console.is_terminal
+    return track(done, what, total, console=console, transient=True, disable=hidden)
 
 
 def _writer(tables: Path) -> TableWriter:
@@ -102,6 +110,6 @@ def _compare(args: argparse.Namespace, tally: Tally, console: Console) -> None:
 def _write(args: argparse.Namespace, pages: list[Listed], tally: Tally, console: Console) -> None:
     workers, engine = min(args.workers, len(pages) or 1), Engine(args.engine)
     done = write_site(args.html, pages, tally, workers=workers, engine=engine)
-    for _ in track(done, "writing pages", len(pages), console=console, transient=True):
+    for _ in _shown(done, "writing pages", len(pages), console):
         pass
     console.print(f"pages: {args.html / 'index.html'}", markup=False, soft_wrap=True)

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from tools.arguments import positive
+
 EPILOG = """\
 tables for --sql: episodes, actions; docs/audit.md lists their columns.
   tdpg-audit logs --sql "SELECT cause, count(*) FROM actions GROUP BY 1 ORDER BY 2 DESC"
@@ -33,7 +35,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--port", type=int, default=8040, metavar="N", help="of --serve (default: 8040)")
     p.add_argument(
         "--workers",
-        type=_positive,
+        type=positive,
         default=os.cpu_count() or 1,
         metavar="N",
         help="processes (default: one a core)",
@@ -47,13 +49,6 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
-    return value
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Returns the exit code."""
     args = parser().parse_args(argv)
@@ -63,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from tdpg_deploy.errors import TdpgError
     from tools.audit.audit import audit  # heavy: not for --help
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)
     try:
         complete = audit(args, console)
     except TdpgError as error:

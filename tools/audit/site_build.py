@@ -21,7 +21,7 @@ from tdpg_deploy.episode_log.reader import read_episode
 from tdpg_deploy.errors import ConfigError, LogError
 from tdpg_deploy.outcome import EndReason
 from tools.audit.actions import explain_action
-from tools.audit.causes import Finding
+from tools.audit.causes import WHAT_TO_CHANGE, Finding
 from tools.audit.compare import figures
 from tools.audit.engines import Engine, in_parallel
 from tools.audit.episode_data import findings_data, number, step_data
@@ -32,6 +32,7 @@ from tools.audit.tally import Tally
 from tools.evaluate.metrics import evaluate
 
 _PLACE = re.compile(r"\{\{(\w+)\}\}")
+_CHANGES = {cause.value: text for cause, text in WHAT_TO_CHANGE.items()}
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -151,7 +152,7 @@ def _page(title: str, script: str, data: dict[str, Any]) -> str:
         "title": html.escape(title),
         "style": _asset("style.css"),
         "script": _asset("draw.js") + _asset(script),
-        "data": as_script_data(data),
+        "data": as_script_data(data | {"changes": _CHANGES}),
     }
     return _PLACE.sub(lambda place: parts[place[1]], _asset("page.html"))
 

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from tools.audit.causes import WHAT_TO_CHANGE, Cause
 from tools.audit.compare import Comparison, figures
 from tools.audit.tally import Causes, Tally
 from tools.evaluate.metrics import Estimate, evaluate
@@ -37,6 +38,7 @@ def show_summary(console: Console, folder: Path, tally: Tally) -> None:
     if tally.refusals:
         refused = ", ".join(f"{cause} {n}" for cause, n in tally.refusals.most_common())
         console.print(f"refused plans: {refused}")
+    _show_changes(console, tally)
     for file in tally.unreadable:
         console.print(f"not read: {file.why}", style="yellow", markup=False, soft_wrap=True)
 
@@ -49,6 +51,20 @@ def _show_causes(console: Console, title: str, causes: Causes, total: int) -> No
         share_text = f"{100 * count / total:.1f}"
         table.add_row(cause, str(count), share_text, escape(causes.samples[cause]))
     console.print(table)
+
+
+def _show_changes(console: Console, tally: Tally) -> None:
+    causes = dict.fromkeys([*_by_count(tally.ends), *_by_count(tally.failures)])
+    if not causes:
+        return
+    table = Table("cause", "what to change")
+    for cause in causes:
+        table.add_row(cause, WHAT_TO_CHANGE[Cause(cause)])
+    console.print(table)
+
+
+def _by_count(causes: Causes) -> list[str]:
+    return [cause for cause, _ in causes.counts.most_common()]
 
 
 def show_comparison(
@@ -76,7 +92,7 @@ def show_answer(console: Console, answer: Answer) -> None:
 
 
 def _cell(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))
+    return f"{value + 0.0:.4g}" if isinstance(value, float) else escape(str(value))  # no "-0"
 
 
 def _estimate(name: str, estimate: Estimate, *, signed: bool = False) -> tuple[str, str]:

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from tools.arguments import positive
+
 EPILOG = """\
 examples:
   tdpg-replay LOG --step                        one step after the other
@@ -32,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     p.add_argument("log", type=Path, metavar="LOG")
-    p.add_argument("--from", dest="first", type=_number, default=1, metavar="N", help="first step")
+    p.add_argument("--from", dest="first", type=positive, default=1, metavar="N", help="first step")
 
     terminal = p.add_argument_group("in the terminal")
     terminal.add_argument("--step", action="store_true", help="wait after each step")
@@ -46,7 +48,9 @@ def parser() -> argparse.ArgumentParser:
     )
     again.add_argument("--config", type=Path, metavar="FILE", help="with another cell file")
     again.add_argument(
-        "--move-camera", metavar="X,Y,Z", help='as if the camera hung elsewhere: "5 mm,0,0" of base'
+        "--move-camera",
+        metavar="X,Y,Z",
+        help='as if the camera hung elsewhere: "5 mm,0,0" of base (metres, or with a unit)',
     )
 
     elsewhere = p.add_argument_group(
@@ -65,18 +69,13 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def _number(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
-    return value
-
-
 def _speed(text: str) -> float:
-    value = float(text)
-    if not 0.01 <= value <= 100:
-        raise argparse.ArgumentTypeError(f"{value:g} is not within 0.01 to 100")
-    return value
+    try:
+        if 0.01 <= float(text) <= 100:
+            return float(text)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text} is not a number within 0.01 to 100")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

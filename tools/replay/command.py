@@ -9,7 +9,7 @@ from functools import partial
 
 from rich.console import Console
 
-from policies.errors import PolicyError
+from policies.errors import HeightmapError, PolicyError
 from policies.shipped import NamedPolicy, open_policy
 from tdpg_deploy.cell_config import CellConfig, load_cell
 from tdpg_deploy.episode_log import software
@@ -29,7 +29,7 @@ SAME, DIVERGED, BAD_INPUT, DAMAGED, STOPPED = 0, 1, 2, 3, 130
 
 def replay(args: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)
     try:
         return _task(args)(args, read_episode(args.log), console)
     except (TdpgError, PolicyError) as error:
@@ -91,7 +91,12 @@ def _decide_again(args: argparse.Namespace, episode: Episode, console: Console) 
     show_head(console, episode)
     told = _Again(episode, policy, config, again)
     stepper = Stepper(console, first=args.first, wait=args.step)
-    stepper.show(told.lines)
+    try:
+        stepper.show(told.lines)
+    except HeightmapError as error:
+        raise ConfigError(
+            f"{policy.name} cannot decide on this log, which may be of another task: {error}"
+        ) from error
     console.rule(style="dim")
     console.print(told.summary(), markup=False, soft_wrap=True)
     damaged = _damage(stepper.damage, console)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from policies.heightmap import Heightmap
+from policies.heightmap import Heightmap, Workspace
+from tdpg_deploy.calibration_file import Calibration
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode_log import documents
 from tdpg_deploy.episode_log.about import About
@@ -144,7 +145,7 @@ def heightmap_difference(logged: Heightmap, again: Heightmap) -> str | None:
     """Of where they lie, of heights and of colours; None if they are the same bit for bit. The
     goal is taken from the log and not compared."""
     if logged.workspace != again.workspace:
-        return f"it covers {again.workspace}, in the log {logged.workspace}"
+        return f"it covers {_square(again.workspace)}, in the log {_square(logged.workspace)}"
     known = logged.valid & again.valid
     unlike = known & (logged.height != again.height)
     appeared, vanished = (again.valid & ~known).sum(), (logged.valid & ~known).sum()
@@ -152,9 +153,20 @@ def heightmap_difference(logged: Heightmap, again: Heightmap) -> str | None:
     if not (unlike.any() or appeared or vanished or colors.any()):
         return None
     most = float(np.abs(logged.height - again.height)[unlike].max(initial=0.0))
+    found = [
+        (unlike.sum(), f"heights differ, by up to {1000 * most:.3g} mm"),
+        (appeared, "pixels are seen that were not"),
+        (vanished, "pixels are seen no more"),
+        (colors.sum(), "colours differ"),
+    ]
+    return "; ".join(f"{count} {what}" for count, what in found if count)
+
+
+def _square(workspace: Workspace) -> str:
+    w = workspace
     return (
-        f"{unlike.sum()} heights differ, by up to {1000 * most:.3g} mm; {appeared} pixels are "
-        f"seen that were not, {vanished} no more; {colors.sum()} colours differ"
+        f"x {w.x_min:.4g} to {w.x_max:.4g}, y {w.y_min:.4g} to {w.y_max:.4g} m, "
+        f"table at {w.table_z:.4g} m"
     )
 
 
@@ -228,12 +240,24 @@ def _calibration(logged: CellConfig, again: CellConfig) -> Iterator[str]:
             f"X_base_camera is {1000 * distance:.2f} mm and {np.degrees(angle):.3f} deg from "
             "the logged one"
         )
+    then, now = logged.camera.calibration, again.camera.calibration
+    if then != now:
+        yield f"the calibration file is {_described(now)}, in the log {_described(then)}"
+
+
+def _described(calibration: Calibration | None) -> str:
+    if calibration is None:
+        return "none"
+    text, depth = f"that of {calibration.date.isoformat(' ', 'minutes')}", calibration.depth
+    if depth is None:
+        return text
+    return f"{text} (depth: a = {depth.a:.6g}, b = {depth.b:.3g} 1/m)"
 
 
 def _config(logged: CellConfig, again: CellConfig) -> Iterator[str]:
     then, now = _leaves(logged.model_dump()), _leaves(again.model_dump())
     for name in sorted(then.keys() | now.keys()):
-        if name.startswith("camera.X_base_camera"):
+        if name.startswith(("camera.X_base_camera", "camera.calibration")):
             continue
         if then.get(name) != now.get(name):
             yield f"{name} is {now.get(name)}, in the log {then.get(name)}"
@@ -245,7 +269,7 @@ def _leaves(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, dict):
             leaves |= _leaves(value, f"{prefix}{name}.")
         else:
-            leaves[prefix + name] = value
+            leaves[f"{prefix}{name}"] = value
     return leaves
 
 

@@ -20,11 +20,12 @@ from tdpg_deploy.episode import witnessed
 from tdpg_deploy.episode_log import documents
 from tdpg_deploy.episode_log.entries import Intent, Look, Step
 from tdpg_deploy.episode_log.reader import Episode
-from tdpg_deploy.errors import DeviceError, LogError, SceneError
+from tdpg_deploy.errors import DeviceError, LogError, PlanRefused, SceneError
 from tdpg_deploy.execution import execute, make_ready
 from tdpg_deploy.outcome import Outcome
 from tdpg_deploy.perception import build_heightmap
-from tdpg_deploy.plan import Plan
+from tdpg_deploy.plan import MoveLinear, Plan
+from tdpg_deploy.safety import check
 from tdpg_deploy.sim.scene_file import parse_scene
 from tdpg_deploy.sim.scenes import Scene
 from tdpg_deploy.workspace import workspace_of
@@ -44,7 +45,7 @@ class Tried:
 
     likeness: share of the heights known in both, before the action, that are ALIKE; nan without
     a look. logged, outcome: of the cell that was logged, and of the simulated one; None where it
-    is not known. error: what the simulated cell's devices raised, if they did.
+    is not known. error: why the plan was refused, or what the simulated cell's devices raised.
     """
 
     number: int
@@ -66,7 +67,7 @@ class Tried:
 
 def reenact(episode: Episode, number: int) -> Tried:
     """Raises LogError where step `number` has no action or no look to start from, and SceneError
-    where the table cannot be rebuilt."""
+    where the table cannot be rebuilt; PlanRefused where an action before cannot be run again."""
     if episode.about.scene is not None:
         return _on_the_scene(episode, parse_scene(episode.about.scene), number)
     return _on_boxes(episode, number)
@@ -81,7 +82,7 @@ def _on_the_scene(episode: Episode, scene: Scene, number: int) -> Tried:
             intent = _intent(step, at)
             if at == number:
                 return _try(cell, step, intent, before, at, TableFrom.SCENE, len(scene.objects))
-            execute(intent.plan, cell)
+            _run(intent.plan, cell)
             before = _look(cell)
     raise _no_such_step(number)
 
@@ -114,8 +115,8 @@ def _try(
     plan: Plan = intent.plan
     outcome, error = None, None
     try:
-        outcome = witnessed(execute(plan, cell), plan.primitive, before, _look(cell))
-    except DeviceError as failure:
+        outcome = witnessed(_run(plan, cell), plan.primitive, before, _look(cell))
+    except (DeviceError, PlanRefused) as failure:
         error = f"{type(failure).__name__}: {failure}"
     return Tried(
         number=number,
@@ -127,6 +128,14 @@ def _try(
         outcome=outcome,
         error=error,
     )
+
+
+def _run(plan: Plan, cell: Cell) -> Outcome:
+    """A log may hold any plan: it is checked like one that was just made. Raises PlanRefused."""
+    if not plan.approach or not isinstance(plan.approach[-1], MoveLinear):
+        raise PlanRefused("the logged plan does not end its approach with a lift")
+    check(plan, cell.config)
+    return execute(plan, cell)
 
 
 def _look(cell: Cell) -> Heightmap:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from math import isfinite
 
 import numpy as np
@@ -14,7 +14,7 @@ from tdpg_deploy.episode_log.reader import Episode
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.outcome import GraspOutcome, Outcome, Verdict
 from tools.audit.actions import explain_action
-from tools.audit.causes import Finding
+from tools.audit.causes import WHAT_TO_CHANGE, Finding
 from tools.audit.episodes import explain_interruption
 from tools.replay.divergence import Divergence
 from tools.replay.redecide import Proposal, Redecision
@@ -27,8 +27,8 @@ Line = tuple[str, str]  # a label, and what it says
 
 
 def tell_each(episode: Episode) -> Iterator[tuple[Step, list[Line]]]:
-    """Each step with its lines, last of them why it failed. Raises LogError at damage, after all
-    that lies before it."""
+    """Each step with its lines, last of them why it failed and what to change. Raises LogError
+    at damage, after all that lies before it."""
     result, previous = episode.result(), None
     ended = None if result is None else explain_interruption(result.reason, result.error)
     for step in episode.steps():
@@ -36,9 +36,11 @@ def tell_each(episode: Episode) -> Iterator[tuple[Step, list[Line]]]:
         previous = step
 
 
-def why(findings: Iterable[Finding]) -> Iterator[Line]:
+def why(findings: Sequence[Finding]) -> Iterator[Line]:
     for finding in findings:
         yield "why", f"{finding.cause.value}: {finding.evidence}"
+    if findings:
+        yield "change", WHAT_TO_CHANGE[findings[0].cause]
 
 
 def tell(step: Step) -> Iterator[Line]:
@@ -85,7 +87,7 @@ def decision(made: LoggedDecision) -> str:
         text += f" (best {kind} {max(other.q for other in others):.3f})"
     if made.verdict is not None:
         said = "overruled" if made.verdict.overruled else "agreed"
-        text += f", critic II {said}, best P(success) {max(made.verdict.p_success):.2f}"
+        text += f", Critic II {said}, best P(success) {max(made.verdict.p_success):.2f}"
     return f"{text}, {1000 * sum(made.seconds.values()):.0f} ms"
 
 

@@ -59,23 +59,36 @@ class Stepper:
 
     def _play(self, first: int, columns: list[Iterator[list[Line]]]) -> int | None:
         """From step `first` on. Returns the step to go back to, None if that was all."""
-        number = 0
+        number, shown = 0, False
         for number, told in enumerate(zip_longest(*columns, fillvalue=None), start=1):
             if number < first:
                 continue
+            shown = True
             self.console.rule(f"step {number}", align="left", style="dim")
             self.console.print(_side_by_side(told))
             if not self._wait:
                 continue
-            answer = self.console.input("[dim]Enter: next, a number: go there, q: quit[/] ").strip()
-            if answer == "q":
+            asked = self._ask()
+            if asked is None:
                 return None
-            first = int(answer) if answer.isdecimal() else number + 1
+            first = asked or number + 1
             if first <= number:
                 return first
-        if number < first and first != number + 1:
-            self.console.print(f"the log has {number} steps")
-        return None
+        if first <= number + shown:
+            return None
+        self.console.print(f"the log has {number} steps")
+        return number if self._wait and number else None
+
+    def _ask(self) -> int | None:
+        """The step to go to, 0 for the next one, None to end."""
+        try:
+            answer = self.console.input("[dim]Enter: next, a number: go there, q: quit[/] ").strip()
+        except EOFError:
+            self.console.print()  # Ctrl-D leaves the cursor on the line
+            return None
+        if answer == "q":
+            return None
+        return int(answer) if answer.isdecimal() and len(answer) < 10 else 0
 
     def _until_damage(self, steps: Iterable[list[Line]]) -> Iterator[list[Line]]:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from textwrap import wrap
 
 import cv2
 import numpy as np
@@ -30,8 +31,8 @@ TOP = 56  # of the pictures
 COLUMNS = ((24, 569), (605, SIDE), (937, SIDE))  # left, width
 CHART = (72, 424, 1136, 124)  # left, top, width, height
 MAX_FORCE, MAX_WIDTH = 60.0, 0.085  # N and m, at the chart's upper edge
-TEXT, LINE, LINES = 604, 25, 5  # foot of the first line, height of each, how many
-ROOM = 125  # letters in a line
+TEXT, LINE, LINES = 596, 23, 6  # foot of the first line, height of each, how many
+ROOM = 136  # letters in a line
 
 PAPER: Color = (24, 26, 30)
 GRID: Color = (58, 62, 68)
@@ -64,7 +65,9 @@ def write_video(
     part = path.with_name(f"{path.stem}.part.mp4")
     video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
     if not video.isOpened():
-        raise ConfigError(f"--video {path}: cannot be written")
+        raise ConfigError(
+            f"--video {path}: cannot be written: is there such a folder, and may you?"
+        )
     count = 0
     try:
         for picture in pictures(episode, first=first, speed=speed, on_damage=on_damage):
@@ -157,10 +160,15 @@ def _place(page: Picture, picture: Picture, column: tuple[int, int]) -> None:
 
 def _with_lines(page: Picture, lines: list[Line]) -> Picture:
     written = page.copy()
-    for row, (label, text) in enumerate(lines[-LINES:]):
+    rows = [
+        (label if part == 0 else "", piece)
+        for label, text in lines
+        for part, piece in enumerate(wrap(text, ROOM) or [""])
+    ]
+    for row, (label, text) in enumerate(rows[-LINES:]):
         foot = TEXT + LINE * row
-        _write(written, label, (24, foot), FADED, 0.5)
-        _write(written, text[:ROOM], (112, foot), OUTCOMES.get(text, INK), 0.5)
+        _write(written, label, (24, foot), FADED, 0.45)
+        _write(written, text, (112, foot), OUTCOMES.get(text, INK), 0.45)
     return written
 
 

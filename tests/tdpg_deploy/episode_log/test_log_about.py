@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from synthetic_episode import ABOUT
 from tdpg_deploy.cell_config import Pose
 from tdpg_deploy.episode_log import about as head
 from tdpg_deploy.episode_log.about import CELL, SCENE, About
-from tdpg_deploy.episode_log.software import commit, versions
+from tdpg_deploy.episode_log.software import commit, processor_of, versions
 from tdpg_deploy.errors import LogError
 
 
@@ -87,6 +88,15 @@ def test_versions_name_what_runs() -> None:
     assert found["python"] == sys.version.split()[0]
     assert found["numpy"] == np.__version__
     assert all(found.values())
+
+
+def test_processors_of_one_name_are_told_apart() -> None:
+    one = "processor: 0\nmodel name\t: AMD EPYC\ncpu family\t: 25\nmodel\t: 17\nflags\t: fpu avx2"
+    assert processor_of(f"{one} avx512_bf16\n\nprocessor: 1\nmodel: 9") == (
+        "AMD EPYC, cpu family 25, model 17, avx2, avx512_bf16"
+    )
+    assert processor_of(one) != processor_of(one.replace("17", "1"))
+    assert processor_of("processor: 0\nBogoMIPS: 50\n") == platform.machine()
 
 
 def test_commit_is_a_hash_or_unknown() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import nan, pi
@@ -21,9 +22,10 @@ from tdpg_deploy.errors import PlanRefused
 from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.outcome import EndReason, GraspOutcome, Motion, Outcome, PushOutcome, Verdict
 from tdpg_deploy.safety import check
-from tools.audit.causes import Cause
+from tools.audit.causes import WHAT_TO_CHANGE, Cause
 from tools.audit.rows import AuditedLog, audit_log
 
+DOCS = Path(__file__).parents[3] / "docs"
 CELL = load_cell(DEFAULT_CELL)
 GRASP = Grasp(x=0.5, y=0.0, z=-0.12, yaw=0.3)
 PUSH = Push(x=0.5, y=0.0, z=-0.15, yaw=0.0)
@@ -418,3 +420,15 @@ def test_every_cause_is_planted() -> None:
     planted |= {cause for cause, *_ in EPISODES}
     elsewhere = {Cause.REPEATED_ACTION, Cause.REFUSED_PLAN, Cause.UNREACHABLE}
     assert planted | elsewhere == set(Cause)
+
+
+def test_each_cause_says_what_to_change_as_the_docs_do() -> None:
+    text = (DOCS / "failures.md").read_text()
+    rows = re.findall(r"^\| (.+?) \| (.+) \|$", text.partition("## What to change")[2], re.M)
+    assert rows[1:] == [(cause.value, WHAT_TO_CHANGE[cause]) for cause in Cause]
+
+
+def test_the_fields_to_change_are_in_the_cell_file() -> None:
+    known = set(re.findall(r"`(\w+\.\w+)`", (DOCS / "cell-file.md").read_text()))
+    named = re.findall(r"\b[a-z]+\.[a-z_]+\b", " ".join(WHAT_TO_CHANGE.values()))
+    assert set(named) - {"faults.md"} <= known

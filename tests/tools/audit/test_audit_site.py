@@ -71,6 +71,9 @@ def test_the_overview_lists_every_episode(site: Path) -> None:
     for episode in data["episodes"]:
         assert (site / "episodes" / f"{episode['slug']}.html").exists()
     assert data["unreadable"]
+    causes = {cause for e in data["episodes"] for cause in (*e["causes"], *e["action_causes"])}
+    assert causes
+    assert causes <= data["changes"].keys()
 
 
 def test_an_episodes_page_has_its_steps_and_their_pictures(site: Path) -> None:

@@ -146,6 +146,21 @@ def test_sql(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "grasp" in capsys.readouterr().out
 
 
+def test_what_a_log_says_stays_as_it_is(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query = "SELECT '[b]:x:[/b]' AS said, -(0::DOUBLE) AS nought"
+    assert main([str(logs), "--workers", "1", "--sql", query]) == 3
+    said = capsys.readouterr().out
+    assert "[b]:x:[/b]" in said
+    assert "-0" not in said
+
+
+def test_the_summary_says_what_to_change(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main([str(logs), "--workers", "1"])
+    said = capsys.readouterr().out
+    assert said.startswith(str(logs))
+    assert "what to change" in said
+
+
 def test_bad_sql_is_told(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(logs), "--workers", "1", "--sql", "SELECT nonsense FROM actions"]) == 2
     assert "nonsense" in capsys.readouterr().out

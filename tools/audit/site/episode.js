@@ -138,11 +138,11 @@ function critic(step) {
   const p = step.verdict.p;
   const width = 400, height = 120;
   const bars = p.map((value, i) => svg("g", {},
-    svg("rect", { x: 8 + i * 39, width: 30, y: 96 - 88 * (value || 0), height: 88 * (value || 0) + 1, rx: 3, fill: value >= 0.6 ? "var(--yes)" : "var(--none)" }),
+    svg("rect", { x: 8 + i * 39, width: 30, y: 96 - 88 * (value || 0), height: 88 * (value || 0) + 1, rx: 3, fill: "var(--accent)" }),
     svg("text", { x: 23 + i * 39, y: 112, "text-anchor": "middle" }, value === null ? "–" : value.toFixed(2))));
   return card("Critic II: success of the best grasps",
     svg("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "predicted success of the best grasps" },
-      svg("line", { class: "limit", x1: 0, x2: width, y1: 96 - 88 * 0.6, y2: 96 - 88 * 0.6 }), bars),
+      svg("line", { class: "axis", x1: 0, x2: width, y1: 97, y2: 97 }), bars),
     el("p", { class: "small" }, step.verdict.overruled ? overruled(step) : `agreed with Critic I: ${step.kind}`));
 }
 
@@ -158,8 +158,10 @@ function overruled(step) {
 function findings(found, good) {
   if (!found.length) return el("section", { class: "card evidence good" }, good);
   return el("section", { class: "card evidence" }, el("ul", {}, found.map((one) =>
-    el("li", {}, el("b", {}, one.cause), " — ", one.evidence))));
+    el("li", {}, el("b", {}, one.cause), " — ", one.evidence, change(one.cause)))));
 }
+
+const change = (cause) => el("span", { class: "change" }, `What to change: ${data.changes[cause]}.`);
 
 function facts(pairs) {
   return el("dl", {}, pairs.filter(([, value]) => value !== null && value !== undefined && value !== "").map(([name, value]) =>

@@ -87,6 +87,7 @@ function causeBars(counts) {
     }, cause),
     el("div", { class: "bar", style: `width:${(100 * n) / most}%` }),
     el("span", { class: "count" }, String(n)),
+    el("span", { class: "change" }, data.changes[cause]),
   ]));
 }
 
@@ -125,15 +126,18 @@ function list(episodes) {
           name, order.key === key ? (order.down ? " ↓" : " ↑") : ""))))),
     el("tbody", {}, sorted.map((e) => el("tr", {},
       el("td", {}, el("a", { href: `episodes/${e.slug}.html` }, e.episode)),
-      el("td", { class: "faded" }, time(e.started_at)),
+      el("td", { class: "faded when" }, time(e.started_at)),
       el("td", {}, e.policy),
       el("td", {}, ended(e)),
-      el("td", { title: e.evidence || "" }, e.cause || ""),
+      el("td", { title: e.evidence || "" }, e.cause || el("span", { class: "faded" }, onTheWay(e))),
       el("td", { class: "n" }, `${e.grasp_successes}/${e.grasps}`),
       el("td", { class: "n" }, String(e.pushes)),
       el("td", { class: "n" }, String(e.refused)),
       el("td", { class: "n" }, e.seconds === null ? "–" : e.seconds.toFixed(0)))))));
 }
+
+// An episode that was completed has no cause; some of its actions may have failed all the same.
+const onTheWay = (e) => Object.entries(e.action_causes).map(([cause, n]) => (n > 1 ? `${n} × ${cause}` : cause)).join(", ");
 
 function select(key, name, values) {
   return el("label", {}, name, el("select", { id: key, onchange: (event) => set(key, event.target.value) },
@@ -174,8 +178,8 @@ function draw() {
     el("div", { class: "grid two" },
       card("grasp success", ...trend(shown)),
       el("div", { class: "side" },
-        card(`why ${failed} of ${actions} actions failed`, causeBars(countCauses(shown))),
-        countEnds(shown).length ? card("why episodes failed", causeBars(countEnds(shown))) : null)),
+        card(`why ${failed} of ${actions} actions failed, and what to change`, causeBars(countCauses(shown))),
+        countEnds(shown).length ? card("why episodes failed, and what to change", causeBars(countEnds(shown))) : null)),
     el("div", { class: "grid" }, card("episodes", list(shown))),
     data.unreadable.length ? el("div", { class: "grid" }, card("not read", el("ul", {}, data.unreadable.map((why) => el("li", { class: "mono" }, why))))) : null));
 }
