@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
+from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -14,6 +16,12 @@ LOOPBACK = "127.0.0.1"
 
 
 class _Quiet(SimpleHTTPRequestHandler):
+    def send_head(self) -> Any:
+        """Nothing to a page of another site whose name was made to lead here (DNS rebinding)."""
+        if self.headers.get("Host", "").split(":")[0] not in (LOOPBACK, "localhost"):
+            return self.send_error(HTTPStatus.FORBIDDEN, "These pages are for this machine")
+        return super().send_head()
+
     def log_message(self, format: str, *args: object) -> None:
         """Say nothing of every request."""
 
