@@ -147,9 +147,10 @@ def test_served_on_loopback_only(site: Path) -> None:
             assert b"application/json" in answer.read()
         with pytest.raises(urllib.error.HTTPError):
             urllib.request.urlopen(f"{address}/../logs/none.mcap")
+        elsewhere = {"Host": "evil.example"}  # a name that was made to lead here
+        rebound = urllib.request.Request(f"{address}/", headers=elsewhere)
         with pytest.raises(urllib.error.HTTPError, match="403"):
-            elsewhere = {"Host": "evil.example"}  # a name that was made to lead here
-            urllib.request.urlopen(urllib.request.Request(f"{address}/", headers=elsewhere))
+            urllib.request.urlopen(rebound)
         assert server.server_address[0] == "127.0.0.1"
 
 
