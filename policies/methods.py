@@ -74,7 +74,7 @@ def border_occupancy(heightmap: Heightmap) -> float:
     return float(rising(heightmap)[border].mean()) if border.any() else 0.0
 
 
-SURE = 0.75  # P_success from which on a grasp is made: more fail below, more is pushed for above
+SURE = 0.5  # P_success from which on a grasp is made: more fail below, more is pushed for above
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
 METHODS = {

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -84,26 +83,6 @@ def test_a_policy_may_decide_by_another_method_than_the_one_it_was_trained_with(
     assert load_checkpoint(out).config.method == "tdpg-sure"
     with pytest.raises(ConfigError, match="no method nonsense: one of grasp-only"):
         export(run, out, method="nonsense")
-
-
-def test_the_mean_with_what_a_run_began_with(run: Path, tmp_path: Path) -> None:
-    began, out = tmp_path / "began.safetensors", tmp_path / "mean.safetensors"
-    torch.manual_seed(1)
-    config = load_checkpoint(run / "policy.safetensors").config
-    sha256 = save_checkpoint(began, LightNet(goal=False, width=4), config, {"actions": 1000})
-    with pytest.raises(ConfigError, match=f"is {sha256}, but .* began with feed: give that"):
-        export(run, out, mean_with=began)
-    last = load_checkpoint(run / "policy.safetensors")
-    provenance = last.provenance | {"start": {"sha256": sha256, "actions": 1000}}
-    save_checkpoint(run / "policy.safetensors", last.network(), config, provenance)
-
-    export(run, out, mean_with=began)
-    first, mean = load_checkpoint(began).weights, load_checkpoint(out)
-    for name, weight in last.weights.items():
-        expected = np.mean([first[name].numpy(), weight.numpy()], axis=0)
-        np.testing.assert_allclose(mean.weights[name].numpy(), expected, rtol=1e-6, atol=1e-9)
-    assert mean.provenance["validation"] is None
-    assert "the mean of those" in out.with_suffix(".md").read_text()
 
 
 def test_a_directory_without_a_run_is_named(tmp_path: Path) -> None:

@@ -21,12 +21,6 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("run", type=Path, metavar="RUN_DIR", help="--out of tdpg-train")
     p.add_argument("out", type=Path, metavar="OUT.safetensors")
     p.add_argument("--method", metavar="NAME", help="that the policy decides by, not the run's")
-    p.add_argument(
-        "--mean-with",
-        type=Path,
-        metavar="FILE",
-        help="the policy that the run began with: freeze the mean of both, which forgets less",
-    )
     p.add_argument("--note", default="", metavar="TEXT", help="for the card")
     return p
 
@@ -41,9 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     console = Console()
     try:
-        sha256 = export(
-            args.run, args.out, method=args.method, mean_with=args.mean_with, note=args.note
-        )
+        sha256 = export(args.run, args.out, method=args.method, note=args.note)
     except (PolicyError, TdpgError) as error:
         console.print(str(error), style="red", markup=False)
         return 2
@@ -51,19 +43,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def export(
-    run: Path,
-    out: Path,
-    *,
-    method: str | None = None,
-    mean_with: Path | None = None,
-    note: str = "",
-) -> str:
-    """method: see `methods.METHODS`; the run's when not given. mean_with: the policy that the run
-    began with; the mean of its weights and the run's knows what either does (Wortsman et al.,
-    "Robust fine-tuning of zero-shot models", 2022). Returns the policy's SHA-256.
+def export(run: Path, out: Path, *, method: str | None = None, note: str = "") -> str:
+    """method: see `methods.METHODS`; the run's when not given. Returns the policy's SHA-256.
 
-    Raises PolicyError, and ConfigError for a bad name or another policy.
+    Raises PolicyError, and ConfigError for a bad name.
     """
     from dataclasses import replace
 
@@ -78,28 +61,14 @@ def export(
     if method is not None and method not in METHODS:
         raise ConfigError(f"no method {method}: one of {', '.join(METHODS)}")
     frozen = load_checkpoint(run / WEIGHTS)
-    network = frozen.network()
     config = replace(frozen.config, method=method or frozen.config.method)
     lines = [line for line in read_curve(run) if line["actions"] <= frozen.provenance["actions"]]
     validated = [line for line in lines if line["validation"]]
     provenance = dict(frozen.provenance)
     provenance["validation"] = validated[-1]["validation"] if validated else None
     provenance["note"] = note
-    if mean_with is not None:
-        began = load_checkpoint(mean_with)
-        start = provenance["start"] or {"sha256": "fresh weights"}
-        if began.sha256 != start["sha256"]:
-            raise ConfigError(
-                f"{mean_with} is {began.sha256}, but {run} began with {start['sha256']}: give that"
-            )
-        if began.config.goal != frozen.config.goal:
-            raise ConfigError(f"{mean_with} knows no goal, {run} does: they have no mean")
-        network.load_state_dict(
-            {name: (began.weights[name] + weight) / 2 for name, weight in frozen.weights.items()}
-        )
-        provenance.update(validation=None, mean=True)  # those figures were of the run's own
     out.parent.mkdir(parents=True, exist_ok=True)
-    sha256 = save_checkpoint(out, network, config, provenance)
+    sha256 = save_checkpoint(out, frozen.network(), config, provenance)
     card = card_of(out.stem, vars(config), provenance, sha256)
     out.with_suffix(".md").write_text(card, encoding="utf-8")
     return sha256
@@ -129,9 +98,6 @@ def card_of(
         f"`{start['sha256']}`."
         if start
         else "It began with fresh weights.",
-        "These weights are the mean of those and of what the last run made of them."
-        if provenance.get("mean")
-        else "",
         f"Made by tdpg-train of commit `{provenance.get('commit') or 'unknown'}` with the "
         "experiment below.",
         "## Figures while training",
