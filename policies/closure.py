@@ -14,7 +14,7 @@ from policies.gripper import FLAT, MIN_GRASP_DEPTH, OPEN_WIDTH
 from policies.heightmap import PIXEL, RIM, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
-MAX_WEDGE = np.radians(75)  # twice the friction angle of rubber on wood, 36 deg, and what pixels err
+MAX_WEDGE = np.radians(75)  # twice the friction angle of rubber on wood, with what pixels err
 PAD_WIDTH = 0.020  # m; 2F-85 manual, section 6.1: 22 mm, less what a pixel may err
 
 _ALONG = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL)
