@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -161,7 +162,8 @@ def test_another_calibration_file_is_told_by_its_date(chance: Episode) -> None:
     logged = Surroundings.of(chance.about)
     date = datetime(2026, 5, 4, 12, 30, tzinfo=timezone.utc)
     depth = DepthSection(a=1.01, b=-0.002, offset=0, rms=0, fill=1, left=0)
-    made = Calibration.model_construct(date=date, depth=depth, tags={0: ((0.0, 0.0),) * 4})
+    some: dict[str, Any] = {"date": date, "depth": depth, "tags": {0: ((0.0, 0.0),) * 4}}
+    made = Calibration.model_construct(**some)
     camera = logged.cell.camera.model_copy(update={"calibration": made})
     again = replace(logged, cell=logged.cell.model_copy(update={"camera": camera}))
     new = "that of 2026-05-04 12:30+00:00 (depth: a = 1.01, b = -0.002 1/m)"
