@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from policies.gripper import FLAT, MIN_GRASP_DEPTH, OPEN_WIDTH
-from policies.heightmap import PIXEL, RIM, Heightmap
+from policies.heightmap import PIXEL, RIM, WIDE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
 MAX_WEDGE = np.radians(75)  # twice the friction angle of rubber on wood, with what pixels err
@@ -27,13 +27,14 @@ Array = npt.NDArray[np.float64]
 def holding(heightmap: Heightmap, grasps: Mask) -> Mask:
     """(8, 224, 224): those of `grasps` whose pads meet no wedge that would slip out. The faces
     are the outlines at the depth that the fingers reach at least."""
-    height = np.nan_to_num(heightmap.wide)
+    height = np.nan_to_num(heightmap.wide).ravel()
     held = np.zeros_like(grasps)
     for rotation in range(HALF_TURN):
         rows, cols = np.nonzero(grasps[rotation])
         down, right = _between_the_pads(rotation * 2 * np.pi / ROTATIONS)
-        around = height[rows[:, None, None] + RIM + down, cols[:, None, None] + RIM + right]
-        level = np.maximum(height[rows + RIM, cols + RIM] - MIN_GRASP_DEPTH, FLAT)
+        at = (rows + RIM) * WIDE + cols + RIM
+        around = height[at[:, None, None] + (down * WIDE + right)]
+        level = np.maximum(height[at] - MIN_GRASP_DEPTH, FLAT)
         held[rotation, rows, cols] = _wedge(around > level[:, None, None]) <= MAX_WEDGE
     return held
 
