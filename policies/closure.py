@@ -10,15 +10,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from policies.gripper import FLAT, MIN_GRASP_DEPTH, OPEN_WIDTH
+from policies.gripper import FLAT, MIN_GRASP_DEPTH, OPEN_WIDTH, PAD_WIDTH
 from policies.heightmap import PIXEL, RIM, WIDE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
 MAX_WEDGE = np.radians(75)  # twice the friction angle of rubber on wood, with what pixels err
-PAD_WIDTH = 0.020  # m; 2F-85 manual, section 6.1: 22 mm, less what a pixel may err
 
 _ALONG = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL)
-_ACROSS = np.linspace(-PAD_WIDTH / 2, PAD_WIDTH / 2, 6)
+_ACROSS = np.linspace(-1, 1, 6) * (PAD_WIDTH - PIXEL) / 2  # less what a pixel may err
 
 Mask = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-OPEN_WIDTH = 0.085  # m between the pads, 2F-85 manual, section 6.1
+# 2F-85 manual, section 6.1
+OPEN_WIDTH = 0.085  # m between the pads
+PAD_WIDTH = 0.022  # m
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,8 +80,8 @@ def test_the_corner_of_a_block_is_squeezed_out_and_its_sides_are_held() -> None:
     block = table_with((100, 100, 24, 24, 0.05))
     assert is_held(block, 0, 112, 112)
     assert is_held(block, 4, 112, 112)
-    assert not is_held(block, 2, 104, 104) or not is_held(block, 6, 104, 104)
-    assert is_held(block, 2, 112, 112)  # from corner to corner: its faces are parallel
+    assert not is_held(block, 6, 104, 104)  # across the upper left corner
+    assert is_held(block, 2, 112, 112)  # from corner to corner, which lean both ways alike
 
 
 def test_what_the_fingers_reach_above_does_not_count() -> None:
