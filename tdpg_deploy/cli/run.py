@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from tdpg_deploy.arguments import positive
+
 EXIT_CODES = """
 exit codes:
   0    every episode reached its end: table cleared, or goal fetched
@@ -32,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock cell)")
     p.add_argument("--goal", action="store_true", help="fetch the scene's goal object, then stop")
-    p.add_argument("--episodes", type=_positive, default=1, metavar="N")
+    p.add_argument("--episodes", type=positive, default=1, metavar="N")
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of scene, noise and choices")
     p.add_argument("--out", type=Path, default=Path("logs"), metavar="DIR", help="for the logs")
 
@@ -59,13 +61,6 @@ def add_table_arguments(p: argparse.ArgumentParser) -> None:
     table = mock.add_mutually_exclusive_group()
     table.add_argument("--objects", type=_objects, default=10, metavar="N", help="1 to 30, random")
     table.add_argument("--scene", type=Path, metavar="FILE", help="a scene file")
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
-    return value
 
 
 def _objects(text: str) -> int:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.arguments import positive
+from tdpg_deploy.arguments import positive
 
 EPILOG = """\
 tables for --sql: episodes, actions; docs/audit.md lists their columns.

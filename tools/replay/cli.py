@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.arguments import positive
+from tdpg_deploy.arguments import positive
 
 EPILOG = """\
 examples:

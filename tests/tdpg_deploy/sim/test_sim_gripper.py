@@ -18,7 +18,7 @@ from small_cells import (
     travel,
 )
 
-from policies.gripper import OPEN_GRIPPER, OPEN_WIDTH
+from policies.gripper import OPEN_GRIPPER, OPEN_WIDTH, PAD_WIDTH
 from tdpg_deploy.errors import DeviceTimeout, GripperError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Holding
@@ -147,6 +147,7 @@ def test_masks_and_plans_know_the_whole_simulated_gripper() -> None:
         assert (part.apart + part.along) / 2 >= high[0]
         assert part.across / 2 >= high[1]
         assert part.rise <= -high[2] + 1e-9
+    assert_allclose(np.ptp(finger.pieces[0].vertices[:, 1]), PAD_WIDTH)
     for piece in palm.pieces:
         high = np.abs(piece.vertices).max(axis=0)
         assert body.along / 2 >= high[0]
