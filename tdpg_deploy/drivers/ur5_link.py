@@ -7,7 +7,9 @@ Whatever goes wrong, the program on the controller is stopped, so that nobody wh
 from __future__ import annotations
 
 import contextlib
+from collections import deque
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -41,7 +43,7 @@ class UrLink:
         self._control = ControlProcess(host)
         self._version: ControllerVersion | None = None
         self._stamps = Stamps()
-        self._sampled_at = clock.now()
+        self._looks: deque[float] = deque(maxlen=3)  # when states were asked for, latest last
 
     @property
     def is_open(self) -> bool:
@@ -113,6 +115,7 @@ class UrLink:
 
     def sample(self) -> Sample:
         """The next state. When none comes, the link is over."""
+        self._looks.append(self._clock.now())
         sample: Sample | None = self._control.call("sample", deadline=1.0)
         if sample is None:
             self._control.kill()
@@ -120,8 +123,7 @@ class UrLink:
                 f"no state came from the arm at {self._host} for half a second, the connection is "
                 "given up: check cable and controller, then call recover()"
             )
-        self._sampled_at = self._clock.now()
-        return replace(sample, stamp=self._stamps.stamp(sample.timestamp, self._sampled_at))
+        return replace(sample, stamp=self._stamps.stamp(sample.timestamp, self._clock.now()))
 
     def at_rest(self, *, until: float) -> Sample:
         """The first state in which the arm stands still. Raises DeviceTimeout."""
@@ -141,6 +143,7 @@ class UrLink:
         self, request: str, numbers: tuple[float, ...], speed: float, acceleration: float
     ) -> int:
         """Begin a motion; the number of the operation before it. Raises what forbids it."""
+        self._looks.clear()  # until now the child kicked the watchdog by itself
         before = self.sample()
         if motion_problem(before):
             raise self.cause("before the motion")
@@ -150,10 +153,12 @@ class UrLink:
 
     def watch(self, motion: str) -> Sample:
         """The next state while a motion is under way. Raises what has stopped it."""
-        last = self._sampled_at
         sample = self.sample()
         if motion_problem(sample):
-            raise self.cause(f"during {motion}", unwatched=self._sampled_at - last)
+            # The first state after a long gap may still be of before the stop.
+            looks = [*self._looks, self._clock.now()]
+            unwatched = max(later - look for look, later in pairwise(looks))
+            raise self.cause(f"during {motion}", unwatched=unwatched)
         return sample
 
     def brake(self, deceleration: float) -> Sample:
