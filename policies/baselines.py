@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from policies.decide import allowed, best_grasps, best_push, choose_by_critic_one, to_primitive
+from policies.decide import best_grasps, best_push, choose_by_critic_one, to_primitive
 from policies.errors import NoActionError
 from policies.heightmap import SIZE, Heightmap
+from policies.masks import allowed
 from policies.policy import ROTATIONS, Decision, QMaps
 from policies.primitives import Primitive
 

@@ -23,9 +23,9 @@ Mask = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
 
 
-def holding(heightmap: Heightmap, grasps: Mask) -> Mask:
-    """(8, 224, 224): those of `grasps` whose pads meet no wedge that would slip out. The faces
-    are the outlines at the depth that the fingers reach at least."""
+def holding(heightmap: Heightmap, grasps: Mask, *, max_wedge: float = MAX_WEDGE) -> Mask:
+    """(8, 224, 224): those of `grasps` whose pads meet no wedge (radians) that would slip out. The
+    faces are the outlines at the depth that the fingers reach at least."""
     height = np.nan_to_num(heightmap.wide).ravel()
     held = np.zeros_like(grasps)
     for rotation in range(HALF_TURN):
@@ -34,7 +34,7 @@ def holding(heightmap: Heightmap, grasps: Mask) -> Mask:
         at = (rows + RIM) * WIDE + cols + RIM
         around = height[at[:, None, None] + (down * WIDE + right)]
         level = np.maximum(height[at] - MIN_GRASP_DEPTH, FLAT)
-        held[rotation, rows, cols] = _wedge(around > level[:, None, None]) <= MAX_WEDGE
+        held[rotation, rows, cols] = _wedge(around > level[:, None, None]) <= max_wedge
     return held
 
 

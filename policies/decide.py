@@ -1,4 +1,4 @@
-"""From action values to one action: pure functions of maps, heightmap and generator."""
+"""From the values of allowed actions to one action: pure functions of maps and generator."""
 
 from __future__ import annotations
 
@@ -8,30 +8,16 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-import torch
-import torch.nn.functional as F
 
-from policies.closure import holding
-from policies.fingers import under_closed_gripper, under_open_gripper
-from policies.gripper import have_room
-from policies.heightmap import PIXEL, SIZE, Heightmap
+from policies.heightmap import Heightmap
+from policies.masks import Map, Mask, strike_out
 from policies.policy import HALF_TURN, ROTATIONS, QMaps
-from policies.primitives import PUSH_LENGTH, Grasp, Primitive, Push
+from policies.primitives import Grasp, Primitive, Push
 
 C = 0.6  # Critic II's threshold (paper, section III-D)
 CONSIDERED = 10  # grasps that are fed into Critic II (paper, section III-B)
 
-RISE = 0.010  # m; what stands higher above the table is an object: four sigma of a D435 at 0.8 m
-NEAR = 0.010  # m; actions closer than this ...
-NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
-PUSH_HALF_WIDTH = 0.006  # m; about half of the closed fingers' flat front: the rest slides along
-PUSH_THROUGH = 0.03  # m at least that a push goes on from where it meets something
-IN_THE_WAY = 0.05  # m from the goal within which others may be lifted or pushed for its sake
-PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
 _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is read from
-
-Mask = npt.NDArray[np.bool_]
-Map = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,124 +29,6 @@ class Choice:
     row: int
     col: int
     q: float
-
-
-# --- which actions are allowed ----------------------------------------------------------------
-
-
-def rising(heightmap: Heightmap) -> Mask:
-    """(224, 224): pixels that were seen to stand above the table, lone specks left out.
-
-    A pixel counts when five of the nine around it (itself one of them) rise by RISE.
-    """
-    with np.errstate(invalid="ignore"):
-        high = heightmap.height > RISE
-    padded = np.pad(high.astype(np.uint8), 1)
-    votes = sum(padded[i : i + SIZE, j : j + SIZE] for i in range(3) for j in range(3))
-    return high & (votes >= 5)
-
-
-def _concerned(heightmap: Heightmap) -> Mask:
-    """(224, 224): all objects; with a goal, it and what is near enough to be in its way."""
-    objects = rising(heightmap)
-    if heightmap.goal is None:
-        return objects
-    return objects & (_widest(heightmap.goal.astype(np.float32), round(IN_THE_WAY / PIXEL)) > 0)
-
-
-def graspable(heightmap: Heightmap) -> Mask:
-    """(16, 224, 224): a grasp closes on an object that was seen. Both fingers come down beside it
-    on seen ground, and low enough; nothing of the gripper lands on what stands around. With a
-    goal: on it or on what surrounds it."""
-    ground = under_open_gripper(heightmap)
-    half = _concerned(heightmap) & ground.known & have_room(heightmap.height, ground.highest)
-    return np.concatenate((half, half))
-
-
-def pushable(heightmap: Heightmap, *, length: float = PUSH_LENGTH) -> Mask:
-    """(16, 224, 224): a push starts on seen ground, meets something that stands higher than its
-    start by RISE, goes on from there by PUSH_THROUGH, and ends, after `length`, well inside of the
-    workspace. With a goal: it meets the goal or what surrounds it."""
-    ground = under_closed_gripper(heightmap)
-    objects = np.where(_concerned(heightmap), heightmap.height, -np.inf).astype(np.float32)
-    half_width = round(PUSH_HALF_WIDTH / PIXEL)
-    swept = _widest(objects, half_width)
-    reach, meets = length / PIXEL, (length - PUSH_THROUGH) / PIXEL
-    steps = np.append(np.arange(half_width, meets, 2 * half_width), meets)
-    side = np.arange(SIZE)
-    masks = np.zeros((ROTATIONS, SIZE, SIZE), np.bool_)
-    for rotation, mask in enumerate(masks):
-        yaw = rotation * 2 * np.pi / ROTATIONS
-        up, left = np.cos(yaw), np.sin(yaw)
-        met = np.full((SIZE, SIZE), -np.inf, np.float32)
-        for step in steps:
-            _take_higher(met, swept, round(-step * up), round(-step * left))
-        end_row, end_col = side - reach * up, side - reach * left
-        ends_inside = _well_inside(end_row)[:, None] & _well_inside(end_col)
-        higher = met > ground.highest[rotation % HALF_TURN] + RISE
-        known = ground.known[rotation % HALF_TURN] & heightmap.valid
-        np.logical_and(higher & known, ends_inside, out=mask)
-    return masks
-
-
-def _widest(height: Map, half_width: int) -> Map:
-    """Maximum over squares of 2 * half_width + 1 pixels."""
-    pooled = F.max_pool2d(
-        torch.from_numpy(height)[None, None], 2 * half_width + 1, stride=1, padding=half_width
-    )
-    maximum: Map = pooled[0, 0].numpy()
-    return maximum
-
-
-def _take_higher(met: Map, height: Map, down: int, right: int) -> None:
-    """met[r, c] = max(met[r, c], height[r + down, c + right]), where that exists."""
-    to_rows, from_rows = _overlap(down)
-    to_cols, from_cols = _overlap(right)
-    target = met[to_rows, to_cols]
-    np.maximum(target, height[from_rows, from_cols], out=target)
-
-
-def _overlap(shift: int) -> tuple[slice, slice]:
-    return slice(max(0, -shift), SIZE - max(0, shift)), slice(max(0, shift), SIZE + min(0, shift))
-
-
-def _well_inside(pixels: npt.NDArray[np.float64]) -> Mask:
-    margin = PUSH_MARGIN / PIXEL - 0.5
-    return (pixels >= margin) & (pixels <= SIZE - 1 - margin)
-
-
-def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> QMaps:
-    """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
-    squeeze out what they close on are allowed when nothing else is left."""
-    grasp = np.where(graspable(heightmap), maps.grasp, np.float32(-np.inf))
-    if np.isneginf(maps.push).all():
-        push = maps.push.copy()
-    else:
-        push = np.where(pushable(heightmap), maps.push, np.float32(-np.inf))
-    for primitive in avoid:
-        row, col = heightmap.workspace.to_pixel(primitive.x, primitive.y)
-        rotation = round(primitive.yaw / (2 * np.pi / ROTATIONS))
-        if isinstance(primitive, Grasp):
-            for side in (rotation, rotation + HALF_TURN):
-                _strike_out(grasp, side, int(row), int(col))
-        else:
-            _strike_out(push, rotation, int(row), int(col))
-    half = holding(heightmap, np.isfinite(grasp[:HALF_TURN]))
-    held = np.where(np.concatenate((half, half)), grasp, np.float32(-np.inf))
-    nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
-    return QMaps(push=push, grasp=grasp if nothing_else else held)
-
-
-def _strike_out(values: Map, rotation: int, row: int, col: int) -> None:
-    """-inf at all actions near to this one. The first axis of `values` is a full turn of it."""
-    radius = round(NEAR / PIXEL)
-    rows = slice(max(0, row - radius), max(0, row + radius + 1))
-    cols = slice(max(0, col - radius), max(0, col + radius + 1))
-    down = np.arange(SIZE)[rows, None] - row
-    right = np.arange(SIZE)[cols] - col
-    disc = down**2 + right**2 <= radius**2
-    for turn in range(rotation - NEAR_TURNS, rotation + NEAR_TURNS + 1):
-        values[turn % len(values), rows, cols][disc] = -np.inf
 
 
 # --- which one is chosen ----------------------------------------------------------------------
@@ -207,7 +75,7 @@ def _best_apart(values: Map, rng: np.random.Generator, count: int) -> Iterator[C
         if grasp is None:
             return
         yield grasp
-        _strike_out(left, grasp.rotation, grasp.row, grasp.col)
+        strike_out(left, grasp.rotation, grasp.row, grasp.col)
 
 
 def choose_by_critic_one(grasps: Sequence[Choice], push: Choice | None) -> Choice | None:

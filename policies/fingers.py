@@ -45,6 +45,30 @@ def under_closed_gripper(heightmap: Heightmap) -> Ground:
     return _under(heightmap, CLOSED_GRIPPER)
 
 
+def pixels_under(mask: npt.NDArray[np.bool_], part: Part) -> Map:
+    """(8, 224, 224) how many of the mask's pixels lie under a part that comes down at each."""
+    counts = np.empty((HALF_TURN, *mask.shape), np.float32)
+    for count, footprint, place in zip(counts, *_shape(part), strict=True):
+        under_one = cv2.filter2D(
+            mask.astype(np.float32), -1, footprint, borderType=cv2.BORDER_CONSTANT
+        )
+        cv2.filter2D(under_one, -1, place, count, borderType=cv2.BORDER_CONSTANT)
+    return counts
+
+
+def under_any(places: npt.NDArray[np.bool_], part: Part) -> npt.NDArray[np.bool_]:
+    """(224, 224) what lies under a part that comes down at any of the places (8, 224, 224)."""
+    under = np.zeros(places.shape[1:], np.uint8)
+    for at, footprint, place in zip(places, *_shape(part), strict=True):
+        if at.any():
+            under |= cv2.dilate(cv2.dilate(at.astype(np.uint8), place), footprint)
+    return under > 0
+
+
+def _shape(part: Part) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    return _footprints(part.along, part.across), _places(part.apart)
+
+
 _THIN = 2 * PIXEL
 
 

@@ -10,14 +10,10 @@ import numpy as np
 import torch
 
 from policies.critics import critic_one, critic_two
-from policies.decide import (
-    allowed,
-    best_grasps,
-    best_push,
-    to_primitive,
-)
+from policies.decide import best_grasps, best_push, to_primitive
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
+from policies.masks import allowed
 from policies.methods import Method
 from policies.networks.build import for_inference
 from policies.networks.maps import Network

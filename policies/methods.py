@@ -20,9 +20,9 @@ from policies.decide import (
     choose_by_critic_one,
     choose_by_critic_two,
     choose_if_sure,
-    rising,
 )
 from policies.heightmap import Heightmap
+from policies.masks import rising
 
 Rule = Callable[[Sequence[Choice], Choice | None, Heightmap], Choice | None]
 Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float64]], Choice]

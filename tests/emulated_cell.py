@@ -11,9 +11,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from ur_rig import new_host, processes_of, wait_until
 
-from policies.decide import allowed, best_grasps, to_primitive
+from policies.decide import best_grasps, to_primitive
 from policies.errors import NoActionError
 from policies.heightmap import SIZE, Heightmap
+from policies.masks import allowed
 from policies.policy import ROTATIONS, Decision, QMaps
 from policies.primitives import Primitive
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell

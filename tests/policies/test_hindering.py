@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from tables import table_with
+
+from policies.heightmap import SIZE
+from policies.hindering import hindering
+
+GOAL = (90, 100, 50, 20, 0.05)  # 100 by 40 mm: to be grasped across
+LEFT, RIGHT = (90, 79, 50, 20, 0.05), (90, 121, 50, 20, 0.05)
+Mask = npt.NDArray[np.bool_]
+
+
+def around(*others: tuple[int, int, int, int, float], goal: bool = True) -> Mask:
+    shown = np.zeros((SIZE, SIZE), np.bool_)
+    shown[90:140, 100:120] = goal
+    return hindering(table_with(GOAL, *others, goal=shown))
+
+
+def test_nothing_hinders_a_goal_that_stands_free() -> None:
+    assert not around((20, 20, 40, 40, 0.08)).any()
+
+
+def test_a_neighbour_hinders_and_not_beyond_a_finger() -> None:
+    left = around(LEFT)
+    assert left[:, 88:99].any()
+    assert not left[:, :79].any()
+    assert not left[:, 100:].any()
+
+
+def test_a_goal_is_grasped_where_one_neighbour_hinders_instead_of_two() -> None:
+    rows, cols = np.nonzero(around(LEFT, (90, 121, 25, 20, 0.05)))
+    assert (cols < 100).mean() > 0.9  # within a tenth of a finger tip it may graze the other
+    assert rows.min() > 110
+
+
+def test_both_neighbours_hinder_a_goal_between_them() -> None:
+    both = around(LEFT, RIGHT)
+    assert both[:, 79:99].any()
+    assert both[:, 121:141].any()
+    assert not both[:, :79].any()
+    assert not both[:, 141:].any()
+
+
+@pytest.mark.parametrize(("top", "hinders"), [(0.10, True), (0.05, False)])
+def test_what_is_high_is_in_the_palms_way(top: float, hinders: bool) -> None:
+    """28 mm from the goal's end, beside both fingers: the palm reaches 33 mm to each side."""
+    beyond = (20, 80, 79, 60, top)
+    short = np.zeros((SIZE, SIZE), np.bool_)
+    short[100:110, 100:120] = True
+    found = hindering(table_with((100, 100, 10, 20, 0.05), beyond, goal=short))
+    assert found.any() == hinders
+
+
+def test_all_that_stands_hinders_a_goal_too_large_to_grasp() -> None:
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[80:130, 80:130] = True
+    table = table_with((80, 80, 50, 50, 0.05), (150, 150, 20, 20, 0.05), goal=goal)
+    expected = np.zeros_like(goal)
+    expected[150:170, 150:170] = True
+    np.testing.assert_array_equal(hindering(table), expected)
+
+
+def test_a_goal_that_is_not_seen_is_hindered_by_all() -> None:
+    found = around((20, 20, 40, 40, 0.08), goal=False)
+    assert found[20:60, 20:60].all()
