@@ -26,7 +26,7 @@ PUSH_AT_LEAST = 0.03  # ... and that it goes on at least
 GOAL_THROUGH = 0.06  # m that it goes on over where the goal lies
 BEYOND = 0.05  # m that are free beyond the end of a push that has the goal alone slide out
 PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
-BESIDE = 0.05  # m from the goal within which others may be pushed for its sake
+BESIDE = 0.05  # m from the goal within which others may be pushed or lifted for its sake
 REACH = 0.03  # m from what hinders a goal's grasp within which it is grasped itself
 
 Mask = npt.NDArray[np.bool_]
@@ -64,13 +64,19 @@ def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) 
 def graspable(heightmap: Heightmap) -> Mask:
     """(16, 224, 224): a grasp closes on an object that was seen. Both fingers come down beside it
     on seen ground, and low enough; nothing of the gripper lands on what stands around. With a
-    goal: on it or on what hinders its own grasps."""
+    goal: on it or on what is in its way."""
     objects = rising(heightmap)
     if heightmap.goal is not None:
-        objects &= heightmap.goal | _within(REACH, hindering(heightmap))
+        objects &= heightmap.goal | _in_the_way(heightmap, heightmap.goal)
     ground = under_open_gripper(heightmap)
     half = objects & ground.known & have_room(heightmap.height, ground.highest)
     return np.concatenate((half, half))
+
+
+def _in_the_way(heightmap: Heightmap, goal: Mask) -> Mask:
+    """Where nothing hinders a grasp of the goal, it is buried or leans: all beside it counts."""
+    hinders = hindering(heightmap)
+    return _within(REACH, hinders) if hinders.any() else _within(BESIDE, goal)
 
 
 def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push]) -> Map:
