@@ -10,7 +10,9 @@ from policies.baselines import RandomPolicy
 from policies.checkpoint import load_checkpoint
 from policies.policy import Decider
 
-SHIPPED = "clear.safetensors"  # in weights/; its card lies beside it
+# In weights/, each with its card beside it.
+CLEAR = "clear.safetensors"
+FETCH = "fetch.safetensors"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,10 +24,13 @@ class NamedPolicy:
     sha256: str | None
 
 
-def open_policy(name: str | None = None) -> NamedPolicy:
-    """The shipped policy (None), "random", or a checkpoint's path. Raises CheckpointError."""
+def open_policy(name: str | None = None, *, goal: bool = False) -> NamedPolicy:
+    """A shipped policy (None), "random", or a checkpoint's path. Raises CheckpointError.
+
+    goal: of the two that are shipped, the one that fetches.
+    """
     if name is None:
-        with as_file(files("policies") / "weights" / SHIPPED) as path:
+        with as_file(files("policies") / "weights" / (FETCH if goal else CLEAR)) as path:
             return open_policy(str(path))
     if name == "random":
         return NamedPolicy(name=name, decider=RandomPolicy(), sha256=None)

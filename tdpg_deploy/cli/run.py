@@ -30,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--policy",
         metavar="FILE",
-        help='a frozen checkpoint, or "random" (default: the shipped checkpoint)',
+        help='a frozen checkpoint, or "random" (default: a shipped one, with --goal another)',
     )
     p.add_argument("--config", type=Path, metavar="FILE", help="cell file (default: the mock cell)")
     p.add_argument("--goal", action="store_true", help="fetch the scene's goal object, then stop")

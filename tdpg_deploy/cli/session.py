@@ -66,7 +66,7 @@ def _run_all(args: argparse.Namespace, console: Console) -> int:
     try:
         config = load_cell(args.config or DEFAULT_CELL)
         config = slowed(config, args.speed or (REAL_SPEED if args.real else 1.0))
-        policy = open_policy(args.policy)
+        policy = open_policy(args.policy, goal=args.goal)
         if args.real and not args.unattended:
             ask_consent(console, config, policy)
         code = DONE

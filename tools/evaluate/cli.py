@@ -19,7 +19,7 @@ def parser() -> argparse.ArgumentParser:
         "--policy",
         action="append",
         metavar="FILE",
-        help='a checkpoint, or "random"; may be given more than once (default: the shipped one)',
+        help='a checkpoint, or "random"; may be given more than once (default: a shipped one)',
     )
     p.add_argument("--goal", action="store_true", help="fetch one object instead of clearing all")
     p.add_argument("--episodes", type=int, default=30, metavar="N", help="of each table")

@@ -44,7 +44,7 @@ def _play(trial: Trial) -> Trial:
     trial.log.with_name(trial.log.name + ".part").unlink(missing_ok=True)  # of a killed process
     log_episode(
         trial.cell,
-        open_policy(trial.policy),
+        open_policy(trial.policy, goal=trial.goal),
         trial.log,
         seed=trial.seed,
         scene=trial.table.scene(trial.cell, trial.seed, goal=trial.goal),

@@ -91,7 +91,7 @@ def tables_of(args: argparse.Namespace) -> list[Table]:
 def _trials(
     policy: str | None, table: Table, cell: CellConfig, args: argparse.Namespace
 ) -> list[Trial]:
-    named = open_policy(policy)  # fails before anything is played
+    named = open_policy(policy, goal=args.goal)  # fails before anything is played
     version = named.name if named.sha256 is None else named.sha256[:12]
     name = table.name + ("-goal" if args.goal else "")
     return [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -148,16 +149,15 @@ def policy_of(about: About) -> NamedPolicy:
     """The policy that the log names, where it can be found. Raises ConfigError."""
     if about.checkpoint_sha256 is None and about.policy == "random":
         return open_policy("random")
-    try:
-        shipped = open_policy()
-    except PolicyError:
-        shipped = None
-    if shipped is None or shipped.sha256 != about.checkpoint_sha256:
-        raise ConfigError(
-            f"the log's policy {about.policy} (SHA-256 {about.checkpoint_sha256}) is not the "
-            "shipped one: name its file with --policy"
-        )
-    return shipped
+    for goal in (False, True):
+        with suppress(PolicyError):
+            shipped = open_policy(goal=goal)
+            if shipped.sha256 == about.checkpoint_sha256:
+                return shipped
+    raise ConfigError(
+        f"the log's policy {about.policy} (SHA-256 {about.checkpoint_sha256}) is no "
+        "shipped one: name its file with --policy"
+    )
 
 
 def _assumed(args: argparse.Namespace, logged: CellConfig) -> CellConfig | None:

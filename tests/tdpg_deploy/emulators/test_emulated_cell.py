@@ -41,7 +41,7 @@ PIXEL = 0.002  # m
 def tallest_grasp(monkeypatch: pytest.MonkeyPatch) -> None:
     """What tdpg-run decides by, in this process."""
     policy = NamedPolicy(name="tallest", decider=TallestGrasp(), sha256=None)
-    monkeypatch.setattr(session, "open_policy", lambda _: policy)
+    monkeypatch.setattr(session, "open_policy", lambda _, *, goal: policy)
 
 
 @pytest.fixture(scope="module")
