@@ -238,7 +238,7 @@ def test_an_unknown_surface_is_refused() -> None:
 
 
 def test_push_goes_down_beside_and_travels_broadside() -> None:
-    push = Push(x=0.45, y=0.05, z=TABLE_Z, yaw=np.pi / 4)
+    push = Push(x=0.45, y=0.05, z=TABLE_Z, yaw=np.pi / 4, length=0.1)
     plan = plan_primitive(push, table(), CONFIG)
     assert names(plan) == [
         ["close", "above", "lower", "descend", "push", "back", "lift"],
@@ -272,7 +272,7 @@ def test_push_runs_just_above_what_it_comes_down_on() -> None:
 
 
 def test_push_is_cut_at_the_border_and_says_so() -> None:
-    push = Push(x=WORKSPACE.x_max - 0.062, y=0.0, z=TABLE_Z, yaw=0.0)
+    push = Push(x=WORKSPACE.x_max - 0.062, y=0.0, z=TABLE_Z, yaw=0.0, length=0.1)
     plan = plan_primitive(push, table(), CONFIG)
     end = linear(plan, "push").X_base_tool.translation
     assert end[0] == pytest.approx(WORKSPACE.x_max)

@@ -16,7 +16,7 @@ from tdpg_deploy.episode_log import pictures, plan_scene
 from tdpg_deploy.episode_log.channels import Q_GRASP, Q_PUSH
 
 PRIMITIVES: list[Primitive] = [
-    Push(x=0.45, y=0.05, z=-0.1, yaw=np.pi / 2),
+    Push(x=0.45, y=0.05, z=-0.1, yaw=np.pi / 2, length=0.1),
     Grasp(x=0.45, y=0.05, z=-0.1, yaw=np.pi / 2),
 ]
 
