@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tdpg_deploy.arguments import positive
+from tdpg_deploy.arguments import above_zero, positive, whole
 
 EXIT_CODES = """
 exit codes:
@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
     real.add_argument("--step", action="store_true", help="ask before each action")
     real.add_argument(
         "--speed",
-        type=_share,
+        type=above_zero(1),
         metavar="SHARE",
         help="of the cell file's speed limits (default: 0.25 with --real, else 1)",
     )
@@ -59,22 +59,10 @@ def add_table_arguments(p: argparse.ArgumentParser) -> None:
     """--objects or --scene."""
     mock = p.add_argument_group("the simulated table")
     table = mock.add_mutually_exclusive_group()
-    table.add_argument("--objects", type=_objects, default=10, metavar="N", help="1 to 30, random")
+    table.add_argument(
+        "--objects", type=whole(1, 30), default=10, metavar="N", help="1 to 30, random"
+    )
     table.add_argument("--scene", type=Path, metavar="FILE", help="a scene file")
-
-
-def _objects(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 30:
-        raise argparse.ArgumentTypeError(f"{value} is not within 1 to 30")
-    return value
-
-
-def _share(text: str) -> float:
-    value = float(text)
-    if not 0 < value <= 1:
-        raise argparse.ArgumentTypeError(f"{value} is not within 0 to 1")
-    return value
 
 
 def main(argv: Sequence[str] | None = None) -> int:
