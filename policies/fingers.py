@@ -47,11 +47,10 @@ def under_closed_gripper(heightmap: Heightmap) -> Ground:
 
 def pixels_under(mask: npt.NDArray[np.bool_], part: Part) -> Map:
     """(8, 224, 224) how many of the mask's pixels lie under a part that comes down at each."""
+    ones = mask.astype(np.float32)
     counts = np.empty((HALF_TURN, *mask.shape), np.float32)
     for count, footprint, place in zip(counts, *_shape(part), strict=True):
-        under_one = cv2.filter2D(
-            mask.astype(np.float32), -1, footprint, borderType=cv2.BORDER_CONSTANT
-        )
+        under_one = cv2.filter2D(ones, -1, footprint, borderType=cv2.BORDER_CONSTANT)
         cv2.filter2D(under_one, -1, place, count, borderType=cv2.BORDER_CONSTANT)
     return counts
 

@@ -17,7 +17,7 @@ def test_the_shipped_policy_reads_a_goal_where_one_is_to_be_fetched(goal: bool, 
     assert policy.decider.goal is goal
 
 
-@pytest.mark.parametrize("name", [CLEAR, FETCH])
+@pytest.mark.parametrize("name", [CLEAR, FETCH, "paper.safetensors"])
 def test_what_is_shipped_is_small_and_has_its_card(name: str) -> None:
     weights = files("policies") / "weights"
     sha256 = open_policy(str(weights / name)).sha256
