@@ -31,21 +31,21 @@ Mask = npt.NDArray[np.bool_]
 
 def hindering(heightmap: Heightmap) -> Mask:
     """(224, 224): what the gripper would land or close on, beside the goal, at those grasps of it
-    that are hindered least. Nothing, where one has room; all else that stands on the table, where
-    the goal could not be grasped if it stood alone. Of the ground nothing is asked."""
+    that are hindered least. Nothing, where one has room, and where the goal could not be grasped
+    if it stood alone: it is buried or leans. Of the ground nothing is asked."""
     assert heightmap.goal is not None
     height = np.nan_to_num(heightmap.height)
     goal = heightmap.goal & (height > FLAT)
     lowest = np.median(height[goal]) - MIN_GRASP_DEPTH if goal.any() else 0.0
     others = [(height > max(lowest, FLAT) + part.rise) & ~goal for part in _TAKEN]
     grasps = _of_goal_alone(heightmap, goal)
+    taken = np.zeros((SIZE, SIZE), np.bool_)
     if not grasps.any():
-        return others[0]
+        return taken
     hindrance = np.zeros(grasps.shape, np.float32)
     for other, part in zip(others, _TAKEN, strict=True):
         hindrance += pixels_under(other, part)
     least = hindrance[grasps].min()
-    taken = np.zeros((SIZE, SIZE), np.bool_)
     if least <= SPECK:
         return taken
     easiest = grasps & (hindrance <= least + AS_GOOD)

@@ -86,8 +86,20 @@ def test_a_push_for_a_goal_meets_the_goal_or_what_is_beside_it() -> None:
     assert any_kind(table_with(BLOCK, near, far))[12, 60, 30]
 
 
-def test_pushes_that_go_on_for_long_come_first() -> None:
-    long, short = pushable(table_with(BLOCK))
+def test_the_first_pushes_go_through_the_middle_of_the_widest_pile() -> None:
+    row = [(100, col, 20, 20, 0.05) for col in (80, 100, 120)]  # 120 mm wide
+    alone = (150, 40, 20, 20, 0.05)
+    middle, long, _ = pushable(table_with(*row, alone))
+    assert middle[0, 130, 110]
+    assert long[0, 130, 85]  # at its left end
+    assert not middle[0, 130, 85]
+    assert long[0, 180, 50]  # through the middle of less
+    assert not middle[0, 180, 50]
+    assert not (middle & ~long).any()
+
+
+def test_pushes_that_go_on_for_long_come_before_shorter_ones() -> None:
+    _, long, short = pushable(table_with(BLOCK))
     assert long[0, 130, 110]  # 20 mm below it: 110 mm are left
     assert not long[0, 134, 110]
     assert short[0, 134, 110]
@@ -209,13 +221,21 @@ def test_a_grasp_is_avoided_from_both_sides() -> None:
 
 def test_a_push_is_avoided_in_its_direction_alone() -> None:
     heightmap = table_with(BLOCK)
-    x, y = (float(value) for value in heightmap.workspace.to_base(128, 120))
     before = is_allowed(allowed(zeros(), heightmap).push)
-    maps = allowed(zeros(), heightmap, [Push(x=x, y=y, z=0.0, yaw=0.0)])
-    assert before[0, 128, 120]
-    assert not is_allowed(maps.push)[[15, 0, 1], 128, 120].any()
-    assert is_allowed(maps.push)[2, 128, 120]
-    assert is_allowed(maps.grasp)[0, 110, 110]
+    rotation, row, col = (int(index) for index in np.argwhere(before)[0])
+    x, y = (float(value) for value in heightmap.workspace.to_base(row, col))
+
+    def avoiding(turned: int) -> QMaps:
+        avoided = Push(x=x, y=y, z=0.0, yaw=(rotation + turned) * np.pi / 8)
+        return allowed(zeros(), heightmap, [avoided])
+
+    after = avoiding(0)
+    rotations, rows, cols = np.nonzero(before & ~is_allowed(after.push))
+    assert {rotation} <= set(rotations) <= {rotation - 1, rotation, rotation + 1}
+    assert np.hypot(rows - row, cols - col).max() <= 5  # 10 mm
+    assert is_allowed(after.grasp)[0, 110, 110]
+    assert not is_allowed(avoiding(1).push)[rotation, row, col]
+    assert is_allowed(avoiding(2).push)[rotation, row, col]
 
 
 def test_what_is_avoided_may_lie_outside_of_the_map() -> None:
