@@ -116,12 +116,12 @@ def choose_if_sure(
     least: float,
 ) -> Choice:
     """The first of the grasps to which Critic II gives `least` or more, else the best push. Not of
-    the paper, whose rule looks for a better one among ten: the one of ten that looks best is the
-    one that Critic II is most likely to be wrong about. So it is asked about Critic I's best, or
-    with a goal about the best on the goal, and then about the best of what is in its way.
+    the paper, whose rule looks for a better one among ten. Grasps: Critic I's best, or with a goal
+    the best on the goal, and after them the best of what is in its way. Where no push is allowed,
+    the surest of them is made.
     """
     sure = (grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least)
-    return next(sure, grasps[0] if push is None else push)
+    return next(sure, grasps[int(np.argmax(p_success))] if push is None else push)
 
 
 # --- from the map to the world ----------------------------------------------------------------

@@ -1,9 +1,11 @@
-"""What stands in the way of grasping a goal: the least of it, by the goal's best direction."""
+"""What is in the way of grasping a goal: what may lie on it, then the least of what stands around,
+by the goal's best direction."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -25,23 +27,33 @@ _TAKEN = (*OPEN_GRIPPER, Part(along=OPEN_WIDTH, across=PAD_WIDTH))  # and what i
 SPECK = 0.05 * _TIP_PIXELS  # that noise at an outline may put under a finger tip
 FIRM = np.radians(45)  # wedge between the faces of a goal that is firmly held
 AS_GOOD = 0.1 * _TIP_PIXELS  # by which one grasp may be more hindered than the least
+CLOSE = 0.012  # m from the goal within which something may lie on it: more than a shadow's edge ...
+HIGHER = 0.015  # ... where it rises above the goal by this ...
+LEAST = 1e-4  # ... over so many square metres
 
 Mask = npt.NDArray[np.bool_]
 
 
 def hindering(heightmap: Heightmap) -> Mask:
-    """(224, 224): what the gripper would land or close on, beside the goal, at those grasps of it
-    that are hindered least. Nothing, where one has room, and where the goal could not be grasped
-    if it stood alone: it is buried or leans. Of the ground nothing is asked."""
+    """(224, 224): what may lie on the goal. Where nothing does, what the gripper would land or
+    close on, beside the goal, at those grasps of it that are hindered least. Nothing, where one has
+    room, and where the goal could not be grasped if it stood alone. Of the ground nothing is asked.
+    """
     assert heightmap.goal is not None
     height = np.nan_to_num(heightmap.height)
     goal = heightmap.goal & (height > FLAT)
-    lowest = np.median(height[goal]) - MIN_GRASP_DEPTH if goal.any() else 0.0
-    others = [(height > max(lowest, FLAT) + part.rise) & ~goal for part in _TAKEN]
-    grasps = _of_goal_alone(heightmap, goal)
     taken = np.zeros((SIZE, SIZE), np.bool_)
+    if not goal.any():
+        return taken
+    top = np.median(height[goal])
+    on_it = _may_lie_on(goal, height > top + HIGHER)
+    if on_it.sum() * PIXEL**2 >= LEAST:
+        return on_it
+    grasps = _of_goal_alone(heightmap, goal)
     if not grasps.any():
         return taken
+    lowest = max(top - MIN_GRASP_DEPTH, FLAT)
+    others = [(height > lowest + part.rise) & ~goal for part in _TAKEN]
     hindrance = np.zeros(grasps.shape, np.float32)
     for other, part in zip(others, _TAKEN, strict=True):
         hindrance += pixels_under(other, part)
@@ -52,6 +64,16 @@ def hindering(heightmap: Heightmap) -> Mask:
     for other, part in zip(others, _TAKEN, strict=True):
         taken |= other & under_any(easiest, part)
     return taken
+
+
+def _may_lie_on(goal: Mask, higher: Mask) -> Mask:
+    """What is higher right beside the goal, without lone pixels. Seen from above there is no
+    telling whether it stands there or lies on it; a push would bury the goal then."""
+    side = 2 * round(CLOSE / PIXEL) + 1
+    around = cv2.dilate(goal.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    beside = (around & ~goal & higher).astype(np.uint8)
+    found: Mask = cv2.morphologyEx(beside, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    return found
 
 
 def _of_goal_alone(heightmap: Heightmap, goal: Mask) -> Mask:

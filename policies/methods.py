@@ -74,7 +74,8 @@ def border_occupancy(heightmap: Heightmap) -> float:
     return float(rising(heightmap)[border].mean()) if border.any() else 0.0
 
 
-SURE = 0.5  # P_success from which on a grasp is made: more fail below, more is pushed for above
+SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
+FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
 METHODS = {
@@ -90,7 +91,7 @@ METHODS = {
             name="tdpg-sure",
             choose=highest_value,
             judge=partial(choose_if_sure, least=SURE),
-            considered=1,
+            considered=FEW,
         ),
     )
 }

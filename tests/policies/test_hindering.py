@@ -54,6 +54,18 @@ def test_what_is_high_is_in_the_palms_way(top: float, hinders: bool) -> None:
     assert found.any() == hinders
 
 
+def test_what_may_lie_on_the_goal_comes_before_what_stands_around() -> None:
+    at_its_end, lower = (90, 121, 10, 20, 0.07), (90, 121, 10, 20, 0.06)
+    expected = np.zeros((SIZE, SIZE), np.bool_)
+    expected[90:100, 121:126] = True  # 12 mm from it
+    np.testing.assert_array_equal(around(LEFT, at_its_end), expected)
+    assert around(LEFT, lower)[:, :100].any()
+
+
+def test_a_lone_high_pixel_does_not_lie_on_the_goal() -> None:
+    assert not around((90, 122, 1, 1, 0.1)).any()
+
+
 def test_nothing_hinders_a_goal_too_large_to_grasp() -> None:
     goal = np.zeros((SIZE, SIZE), np.bool_)
     goal[80:130, 80:130] = True
