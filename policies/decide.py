@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from policies.heightmap import Heightmap
-from policies.masks import Map, Mask, strike_out
+from policies.masks import strike_out
 from policies.policy import HALF_TURN, ROTATIONS, QMaps
 from policies.primitives import Grasp, Primitive, Push
+from policies.standing import Map, Mask
 
 C = 0.6  # Critic II's threshold (paper, section III-D)
 CONSIDERED = 10  # grasps that are fed into Critic II (paper, section III-B)

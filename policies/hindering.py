@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from policies.closure import holding
 from policies.fingers import pixels_under, under_any
@@ -20,6 +19,7 @@ from policies.gripper import (
     Part,
 )
 from policies.heightmap import PIXEL, SIZE, Heightmap
+from policies.standing import Mask, within
 
 _TIP = OPEN_GRIPPER[0]
 _TIP_PIXELS = _TIP.along * _TIP.across / PIXEL**2
@@ -30,8 +30,16 @@ AS_GOOD = 0.1 * _TIP_PIXELS  # by which one grasp may be more hindered than the 
 CLOSE = 0.012  # m from the goal within which something may lie on it: more than a shadow's edge ...
 HIGHER = 0.015  # ... where it rises above the goal by this ...
 LEAST = 1e-4  # ... over so many square metres
+REACH = 0.03  # m from what hinders a goal's grasp within which it is grasped itself
+BESIDE = 0.05  # m from the goal within which others may be pushed or lifted for its sake
 
-Mask = npt.NDArray[np.bool_]
+
+def in_the_way(heightmap: Heightmap) -> Mask:
+    """(224, 224): where something may be lifted for the goal's sake: what hinders a grasp of it;
+    all beside it where nothing does, for then it is buried, or the ground around it is unseen."""
+    assert heightmap.goal is not None
+    hinders = hindering(heightmap)
+    return within(REACH, hinders) if hinders.any() else within(BESIDE, heightmap.goal)
 
 
 def hindering(heightmap: Heightmap) -> Mask:
@@ -69,9 +77,7 @@ def hindering(heightmap: Heightmap) -> Mask:
 def _may_lie_on(goal: Mask, higher: Mask) -> Mask:
     """What is higher right beside the goal, without lone pixels. Seen from above there is no
     telling whether it stands there or lies on it; a push would bury the goal then."""
-    side = 2 * round(CLOSE / PIXEL) + 1
-    around = cv2.dilate(goal.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    beside = (around & ~goal & higher).astype(np.uint8)
+    beside = (within(CLOSE, goal) & ~goal & higher).astype(np.uint8)
     found: Mask = cv2.morphologyEx(beside, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     return found
 

@@ -22,7 +22,7 @@ from policies.decide import (
     choose_if_sure,
 )
 from policies.heightmap import Heightmap
-from policies.masks import rising
+from policies.standing import rising
 
 Rule = Callable[[Sequence[Choice], Choice | None, Heightmap], Choice | None]
 Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float64]], Choice]

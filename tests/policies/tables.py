@@ -20,3 +20,10 @@ def table_with(
         height[row : row + rows, col : col + cols] = top
         color[row : row + rows, col : col + cols] = (200, 60, 30)
     return Heightmap(workspace=WORKSPACE, color=color, height=height, goal=goal)
+
+
+def goal_at(rows: slice, cols: slice) -> npt.NDArray[np.bool_]:
+    """Pixels that show the goal."""
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[rows, cols] = True
+    return goal

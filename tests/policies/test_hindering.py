@@ -1,16 +1,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from tables import table_with
+from tables import goal_at, table_with
 
 from policies.heightmap import SIZE
-from policies.hindering import hindering
+from policies.hindering import hindering, in_the_way
+from policies.standing import Mask
 
 GOAL = (90, 100, 50, 20, 0.05)  # 100 by 40 mm: to be grasped across
 LEFT, RIGHT = (90, 79, 50, 20, 0.05), (90, 121, 50, 20, 0.05)
-Mask = npt.NDArray[np.bool_]
 
 
 def around(*others: tuple[int, int, int, int, float], goal: bool = True) -> Mask:
@@ -67,11 +66,24 @@ def test_a_lone_high_pixel_does_not_lie_on_the_goal() -> None:
 
 
 def test_nothing_hinders_a_goal_too_large_to_grasp() -> None:
-    goal = np.zeros((SIZE, SIZE), np.bool_)
-    goal[80:130, 80:130] = True
+    goal = goal_at(slice(80, 130), slice(80, 130))
     beside = (80, 131, 50, 20, 0.05)
     assert not hindering(table_with((80, 80, 50, 50, 0.05), beside, goal=goal)).any()
 
 
 def test_nothing_hinders_a_goal_that_is_not_seen() -> None:
     assert not around(LEFT, goal=False).any()
+
+
+def test_what_stands_within_a_finger_of_what_hinders_is_in_the_way() -> None:
+    goal = goal_at(slice(90, 140), slice(100, 120))
+    way = in_the_way(table_with(GOAL, LEFT, (90, 121, 50, 20, 0.05), goal=goal))
+    assert way[90:140, 79:99].all()
+    assert not way[:, :60].any()
+
+
+def test_all_beside_a_goal_that_nothing_hinders_is_in_the_way() -> None:
+    rows, cols = np.nonzero(
+        in_the_way(table_with(GOAL, goal=goal_at(slice(90, 140), slice(100, 120))))
+    )
+    assert (rows.min(), rows.max(), cols.min(), cols.max()) == (65, 164, 75, 144)

@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from policies.heightmap import PIXEL, Heightmap
-from policies.masks import rising
+from policies.standing import rising
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.sim.bodies import Shape, box
 from tdpg_deploy.sim.scenes import MAX_OBJECTS, Scene, SceneObject
