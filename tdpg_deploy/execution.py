@@ -1,7 +1,7 @@
 """A checked plan on a cell -> what was measured. Whatever goes wrong, the arm is stopped.
 
 A guarded motion that touches something ends the approach: the tool goes straight up from where
-it stands and home. That is a failed action, not an error.
+it stands and home. That is a failed action, not an error, unless something hangs on the fingers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from policies.primitives import Grasp
 from tdpg_deploy.cell import Cell
-from tdpg_deploy.errors import ArmError, DeviceError
+from tdpg_deploy.errors import ArmError, DeviceError, GripperError
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import ArmState, GripperState, MotionEnd, MotionResult, OnArmState
 from tdpg_deploy.motion import plan_homing
@@ -47,7 +47,8 @@ def execute(
     """Run a plan that has passed `safety.check`, the arm being at home.
 
     The outcome's witness from the heightmap is UNKNOWN until `change` has seen the next frame.
-    Raises DeviceError; the arm is then stopped, wherever it is.
+    Raises DeviceError; the arm is then stopped, wherever it is. GripperError: also when something
+    hangs on the fingers.
     """
     run = _Run(cell, on_state, on_gripper)
     with _stopped_on_error(cell):
@@ -99,6 +100,7 @@ def _grasp(plan: Plan, run: _Run) -> GraspOutcome:
         if verdict is not Verdict.NO:
             at_release = run.delivery(plan.delivery)
     run.steps(plan.retreat)
+    run.check_nothing_hangs(approach)
     return GraspOutcome(
         motion=Motion(contact=approach.contact, seconds=run.cell.clock.now() - started),
         width_after_close=after_close,
@@ -113,6 +115,7 @@ def _push(plan: Plan, run: _Run) -> PushOutcome:
     started = run.cell.clock.now()
     approach = run.approach(plan.approach)
     run.steps(plan.retreat)
+    run.check_nothing_hangs(approach)
     return PushOutcome(
         motion=Motion(contact=approach.contact, seconds=run.cell.clock.now() - started),
         travelled=approach.travelled,
@@ -172,11 +175,7 @@ class _Run:
         """Straight up. When something holds the arm back: let go of it, then up again."""
         end = self.linear(_from_here(lift, self.cell.arm.state())).end
         if end is MotionEnd.CONTACT:
-            gripper = self.cell.config.gripper
-            width = self.cell.gripper.max_width
-            self.fingers(
-                MoveFingers(name="let go", width=width, speed=gripper.speed, force=gripper.force)
-            )
+            self.fingers(self._finger_step("let go", self.cell.gripper.max_width))
             again = self.linear(_from_here(lift, self.cell.arm.state()))
             if again.end is MotionEnd.CONTACT:
                 raise ArmError(
@@ -184,6 +183,22 @@ class _Run:
                     f"lifting meets more than {lift.stop_force} N; free it by hand"
                 )
         return end
+
+    def check_nothing_hangs(self, approach: _Approach) -> None:
+        """After a contact, at home. What met something may be a mug whose handle a finger went
+        through, and no release frees that. Raises GripperError when the pads do not meet."""
+        if approach.contact is None:
+            return
+        width = self.fingers(self._finger_step("check", 0.0)).width
+        if held(width, self.cell.gripper.max_width) is Verdict.YES:
+            raise GripperError(
+                f"something hangs on the fingers: closed in free air they stay {width * 1e3:.1f} "
+                f'mm apart, after "{approach.contact}" met something; take it off by hand'
+            )
+
+    def _finger_step(self, name: str, width: float) -> MoveFingers:
+        gripper = self.cell.config.gripper
+        return MoveFingers(name=name, width=width, speed=gripper.speed, force=gripper.force)
 
     def delivery(self, steps: Sequence[Step]) -> float:
         """To the bin; the width (m) between the pads just before they let go."""

@@ -93,6 +93,28 @@ def test_contact_on_the_way_down_lifts_straight_and_goes_home() -> None:
     np.testing.assert_allclose(table.q, HOME)
 
 
+@pytest.mark.parametrize("primitive", [GRASP, PUSH])
+def test_what_hangs_on_the_fingers_after_a_contact_is_told(primitive: Primitive) -> None:
+    """A hooked mug: on the way down it meets the table, and closed pads have its handle between."""
+
+    class Hooked(FakeGripper):
+        def move(
+            self, width: float, *, speed: float, force: float, deadline: float = 5.0
+        ) -> GripperState:
+            return super().move(max(width, 0.0128), speed=speed, force=force, deadline=deadline)
+
+    class Low(FakeArm):
+        def _touches(self, p_base: Array) -> bool:
+            return float(p_base[2]) < TABLE_Z + 0.1
+
+    table = Table(CONFIG)
+    arm = Low(table)
+    with pytest.raises(GripperError, match=r"hangs on the fingers.* 12\.8 mm .*\"lower\""):
+        execute(planned(primitive), ready(table, arm=arm, gripper=Hooked(table)))
+    assert arm.stops == 1
+    np.testing.assert_allclose(table.q, HOME)
+
+
 def test_push_measures_how_far_it_went() -> None:
     outcome = pushed(Table(CONFIG))
     assert outcome.travelled == pytest.approx(PUSH.length, abs=1e-6)
