@@ -117,9 +117,9 @@ def choose_if_sure(
     least: float,
 ) -> Choice:
     """The first of the grasps to which Critic II gives `least` or more, else the best push. Not of
-    the paper, whose rule looks for a better one among ten. Grasps: Critic I's best, or with a goal
-    the best on the goal, and after them the best of what is in its way. Where no push is allowed,
-    the surest of them is made.
+    the paper, whose rule looks for a better one among ten. Grasps: Critic I's best few, or with a
+    goal those on the goal, and after them those of what is in its way. Where no push is
+    allowed, the surest of them is made.
     """
     sure = (grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least)
     return next(sure, grasps[int(np.argmax(p_success))] if push is None else push)

@@ -22,6 +22,7 @@ MIDDLE = 0.8  # of how far the best push halves a pile, that is near enough to i
 GOAL_THROUGH = 0.06  # m that it goes on over where the goal lies
 BEYOND = 0.05  # m that are free beyond the end of a push that has the goal alone slide out
 PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
+_HALF_WIDTH = round(PUSH_HALF_WIDTH / PIXEL)
 
 
 def pushable(heightmap: Heightmap) -> Iterator[Mask]:
@@ -63,7 +64,7 @@ def _met(heightmap: Heightmap, objects: Mask, until: float) -> Map:
     """(16, 224, 224) metres above the table: the highest of the objects that the middle of the
     fingers meets within `until` metres from each pixel; -inf where there is none."""
     height = np.where(objects, heightmap.height, np.float32(-np.inf))
-    return _on_the_way([height] * ROTATIONS, until)
+    return _on_the_way([widest(height, _HALF_WIDTH)] * ROTATIONS, until)
 
 
 def _halved(objects: Mask, until: float) -> Map:
@@ -80,20 +81,19 @@ def _halved(objects: Mask, until: float) -> Map:
         np.minimum.at(first, of, across)
         np.maximum.at(last, of, across)
         side[rows, cols] = np.minimum(across - first[of], last[of] - across) * PIXEL
-    return _on_the_way(sides, until)
+    return _on_the_way((widest(side, _HALF_WIDTH) for side in sides), until)
 
 
 def _on_the_way(values: Iterable[Map], until: float) -> Map:
-    """(16, 224, 224): the highest of a rotation's values (224, 224) that the middle of the fingers
-    meets within `until` metres from each pixel."""
-    half_width, end = round(PUSH_HALF_WIDTH / PIXEL), until / PIXEL
-    steps = np.append(np.arange(half_width, end, 2 * half_width), end)
+    """(16, 224, 224): the highest of a rotation's values (224, 224), each as wide as the middle of
+    the fingers, that lies within `until` metres ahead of each pixel."""
+    end = until / PIXEL
+    steps = np.append(np.arange(_HALF_WIDTH, end, 2 * _HALF_WIDTH), end)
     met = np.full((ROTATIONS, SIZE, SIZE), -np.inf, np.float32)
     for rotation, (at_each, value) in enumerate(zip(met, values, strict=True)):
         up, left = _ahead(rotation)
-        swept = widest(value, half_width)
         for step in steps:
-            _take_higher(at_each, swept, round(-step * up), round(-step * left))
+            _take_higher(at_each, value, round(-step * up), round(-step * left))
     return met
 
 
