@@ -1,8 +1,9 @@
 """Whether two pads that close hold what is between them, or squeeze it out: force closure.
 
-Seen from above, each pad meets a face. Pads hold what they close on when both faces lie within
-the friction angle of them; where the faces make a wedge of more than twice that angle, as at the
-corner of a block, it slips out (Nguyen, "Constructing Force-Closure Grasps", 1988).
+Each pad meets a face. Pads hold what they close on when both faces lie within the friction angle
+of them; where the faces make a wedge of more than twice that angle, it slips out (Nguyen,
+"Constructing Force-Closure Grasps", 1988): seen from above, sideways, as at the corner of a block;
+seen from the side, downwards, as from a roof or the upper half of a ball.
 """
 
 from __future__ import annotations
@@ -10,32 +11,55 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from policies.gripper import FLAT, MIN_GRASP_DEPTH, OPEN_WIDTH, PAD_WIDTH
+from policies.gripper import FLAT, GRASP_DEPTH, MIN_GRASP_DEPTH, OPEN_WIDTH, PAD_WIDTH
 from policies.heightmap import PIXEL, RIM, WIDE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
+from policies.standing import Map, Mask
 
-MAX_WEDGE = np.radians(75)  # twice the friction angle of rubber on wood, with what pixels err
+# Twice the friction angle of rubber on wood is 71.6 degrees.
+SURE_WEDGE = np.radians(60)  # well below it
+MAX_DOWNWARDS = np.radians(75)  # with what pixels err
+MAX_SIDEWAYS = np.radians(90)  # what stands on the table may turn and lie flat against the pads
+
+OVER_TIPS = 0.006  # m over the tips where the pads meet a face: less may be noise
+UP_TO = 0.016  # m that a face is followed up from there, ...
+UNDER_TOP = 0.006  # ... but not this close to the top, where edges are seen as round
+LEAST_RISE = 0.004  # m
 
 _ALONG = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL)
 _ACROSS = np.linspace(-1, 1, 6) * (PAD_WIDTH - PIXEL) / 2  # less what a pixel may err
 
-Mask = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
 
 
-def holding(heightmap: Heightmap, grasps: Mask, *, max_wedge: float = MAX_WEDGE) -> Mask:
-    """(8, 224, 224): those of `grasps` whose pads meet no wedge (radians) that would slip out. The
-    faces are the outlines at the depth that the fingers reach at least."""
+def wedges(heightmap: Heightmap, grasps: Mask, ground: npt.ArrayLike) -> tuple[Map, Map]:
+    """Twice (8, 224, 224) radians, sideways and downwards, between the faces that the pads of each
+    of `grasps` meet; inf elsewhere. ground: metres above the table that keep the finger tips up,
+    for each grasp; broadcasts."""
     height = np.nan_to_num(heightmap.wide).ravel()
-    held = np.zeros_like(grasps)
+    ground = np.broadcast_to(ground, grasps.shape)
+    sideways, downwards = np.full((2, *grasps.shape), np.inf, np.float32)
     for rotation in range(HALF_TURN):
         rows, cols = np.nonzero(grasps[rotation])
         down, right = _between_the_pads(rotation * 2 * np.pi / ROTATIONS)
         at = (rows + RIM) * WIDE + cols + RIM
         around = height[at[:, None, None] + (down * WIDE + right)]
-        level = np.maximum(height[at] - MIN_GRASP_DEPTH, FLAT)
-        held[rotation, rows, cols] = _wedge(around > level[:, None, None]) <= max_wedge
-    return held
+        top, floor = height[at], ground[rotation, rows, cols]
+        sideways[rotation, rows, cols] = _sideways(around, top)
+        downwards[rotation, rows, cols] = _downwards(around, top, floor)
+    return sideways, downwards
+
+
+def may_hold(sideways: Map, downwards: Map) -> Mask:
+    """Whether wedges are not such that all slips out of them."""
+    may: Mask = np.hypot(sideways / MAX_SIDEWAYS, downwards / MAX_DOWNWARDS) <= 1
+    return may
+
+
+def surely_hold(sideways: Map, downwards: Map) -> Mask:
+    """Whether wedges are well within what friction holds."""
+    sure: Mask = np.hypot(sideways, downwards) <= SURE_WEDGE
+    return sure
 
 
 def _between_the_pads(yaw: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -45,8 +69,10 @@ def _between_the_pads(yaw: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.
     return np.rint(-x / PIXEL).astype(np.intp), np.rint(-y / PIXEL).astype(np.intp)
 
 
-def _wedge(solid: Mask) -> Array:
-    """(k,) radians between the two faces of what stands between the pads, (k, 6, n)."""
+def _sideways(around: Map, top: Map) -> Array:
+    """(k,) radians between the outlines of what stands between the pads, (k, 6, n), at the depth
+    that the fingers reach at least."""
+    solid = around > np.maximum(top - MIN_GRASP_DEPTH, FLAT)[:, None, None]
     met = np.asarray(solid.any(axis=2))
     first, last = solid.argmax(axis=2), solid[:, :, ::-1].argmax(axis=2)
     wedge: Array = np.abs(_turned(_ALONG[first], met) - _turned(_ALONG[::-1][last], met))
@@ -62,3 +88,23 @@ def _turned(face: Array, met: Mask) -> Array:
     slope = (weight * across * face).sum(axis=1) / np.where(spread > 0, spread, 1)
     turned: Array = np.arctan(slope)
     return turned
+
+
+def _downwards(around: Map, top: Map, ground: Map) -> Array:
+    """(k,) radians between the two faces, as they rise from where the pads reach lowest."""
+    low = np.maximum(np.maximum(top - GRASP_DEPTH, ground) + OVER_TIPS, FLAT)
+    high = np.clip(top - UNDER_TOP, low + LEAST_RISE, low + UP_TO)
+    wedge: Array = np.zeros(len(top))
+    for side in (around, around[:, :, ::-1]):
+        back = _met(side, high) - _met(side, low) - PIXEL  # what the outlines may err
+        wedge += np.arctan2(np.maximum(back, 0), high - low)
+    return wedge
+
+
+def _met(side: Map, level: Map) -> Array:
+    """(k,) metres that a pad closes, from its open place, until at this height it meets two of the
+    lines (k, 6, n): one alone may be noise."""
+    solid = side > level[:, None, None]
+    way = np.where(solid.any(axis=2), solid.argmax(axis=2), solid.shape[2])
+    second: Array = np.partition(way, 1, axis=1)[:, 1] * PIXEL
+    return second

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -23,13 +24,14 @@ _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One entry of the Q-maps."""
+    """One entry of the Q-maps. doubtful: a grasp whose pads meet a wedge."""
 
     kind: Literal["grasp", "push"]
     rotation: int
     row: int
     col: int
     q: float
+    doubtful: bool = False
 
 
 # --- which one is chosen ----------------------------------------------------------------------
@@ -56,17 +58,22 @@ def best_grasps(
     rng: np.random.Generator,
     *,
     goal: Mask | None = None,
+    sure: Mask | None = None,
     count: int = CONSIDERED,
 ) -> tuple[Choice, ...]:
     """The `count` largest grasps, best first, no two of them NEAR each other: neighbouring
     pixels are the same grasp, and ten of those would be one opinion. goal (224, 224): so many on
-    it, and after them so many beside it."""
+    it, and after them so many beside it. sure (8, 224, 224): of each so many that surely hold,
+    and after them so many of the others."""
     values = maps.grasp[:HALF_TURN]  # the other half repeats it
-    if goal is None:
-        return tuple(_best_apart(values, rng, count))
-    nothing = np.float32(-np.inf)
-    on, beside = np.where(goal, values, nothing), np.where(goal, nothing, values)
-    return (*_best_apart(on, rng, count), *_best_apart(beside, rng, count))
+    everywhere = np.ones((1, 1), np.bool_)
+    places = (everywhere,) if goal is None else (goal, ~goal)
+    holds = (everywhere,) if sure is None else (sure, ~sure)
+    return tuple(
+        replace(grasp, doubtful=hold is not holds[0])
+        for place, hold in product(places, holds)
+        for grasp in _best_apart(np.where(place & hold, values, np.float32(-np.inf)), rng, count)
+    )
 
 
 def _best_apart(values: Map, rng: np.random.Generator, count: int) -> Iterator[Choice]:
@@ -115,13 +122,18 @@ def choose_if_sure(
     p_success: npt.NDArray[np.float64],
     *,
     least: float,
+    least_if_doubtful: float,
 ) -> Choice:
-    """The first of the grasps to which Critic II gives `least` or more, else the best push. Not of
-    the paper, whose rule looks for a better one among ten. Grasps: Critic I's best few, or with a
-    goal those on the goal, and after them those of what is in its way. Where no push is
-    allowed, the surest of them is made.
+    """The first of the grasps to which Critic II gives `least` or more, or where the pads meet a
+    wedge `least_if_doubtful`, else the best push. Not of the paper, whose rule looks for a better
+    one among ten. Grasps: Critic I's best few, or with a goal those on the goal, and after them
+    those of what is in its way. Where no push is allowed, the surest of them is made.
     """
-    sure = (grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least)
+    sure = (
+        grasp
+        for grasp, p in zip(grasps, p_success, strict=True)
+        if p >= (least_if_doubtful if grasp.doubtful else least)
+    )
     return next(sure, grasps[int(np.argmax(p_success))] if push is None else push)
 
 

@@ -42,7 +42,8 @@ CLOSED_GRIPPER = (
     Part(along=0.072, across=0.110, rise=0.067),
 )
 MAX_UNKNOWN = 0.2  # share of a footprint: lost pixels and the rim of a shadow, no more
-MIN_GRASP_DEPTH = 0.02  # m that the fingers reach below a surface, about half of their pads ...
+GRASP_DEPTH = 0.04  # m that the fingers reach below a surface at most (VPG, robot.py)
+MIN_GRASP_DEPTH = 0.02  # m that they reach at least, about half of their pads ...
 FLAT = 0.01  # m ... or less, where they come down no higher than this above the table
 
 

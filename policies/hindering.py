@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from policies.closure import holding
+from policies.closure import wedges
 from policies.fingers import pixels_under, under_any
 from policies.gripper import (
     FLAT,
@@ -86,4 +86,5 @@ def _of_goal_alone(heightmap: Heightmap, goal: Mask) -> Mask:
     """(8, 224, 224): grasps that would fit and hold firmly if nothing else stood on the table."""
     alone = np.where(goal, heightmap.height, np.float32(0))
     grasps = goal & (pixels_under(goal, _TIP) <= SPECK)
-    return holding(replace(heightmap, height=alone, rim=None), grasps, max_wedge=FIRM)
+    held: Mask = np.hypot(*wedges(replace(heightmap, height=alone, rim=None), grasps, 0.0)) <= FIRM
+    return held

@@ -49,7 +49,10 @@ class LearnedPolicy:
             maps, features = self._valued(heightmap)
         with _timed(seconds, "choose"):
             maps = allowed(maps, heightmap, avoid)
-            grasps = best_grasps(maps, rng, goal=heightmap.goal, count=self.method.considered)
+            sure = maps.sure if self.method.sure_first else None
+            grasps = best_grasps(
+                maps, rng, goal=heightmap.goal, sure=sure, count=self.method.considered
+            )
             push = best_push(maps, rng)
             chosen = self.method.choose(grasps, push, heightmap)
         if chosen is None:

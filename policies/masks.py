@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from policies.closure import holding
-from policies.fingers import under_open_gripper
+from policies.closure import may_hold, surely_hold, wedges
+from policies.fingers import Ground, under_open_gripper
 from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.hindering import in_the_way
@@ -20,30 +21,39 @@ NEAR = 0.010  # m; actions closer than this ...
 NEAR_TURNS = 1  # ... and turned by no more than this many rotations count as the same
 
 
-def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> QMaps:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AllowedMaps(QMaps):
+    """sure: (8, 224, 224) the grasps that surely hold what they close on."""
+
+    sure: Mask
+
+
+def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> AllowedMaps:
     """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
     squeeze out what they close on are allowed when nothing else is left."""
-    grasp = np.where(graspable(heightmap), maps.grasp, np.float32(-np.inf))
+    ground = under_open_gripper(heightmap)
+    grasp = np.where(graspable(heightmap, ground), maps.grasp, np.float32(-np.inf))
     for primitive in avoid:
         if isinstance(primitive, Grasp):
             rotation, row, col = _entry(primitive, heightmap)
             for side in (rotation, rotation + HALF_TURN):
                 strike_out(grasp, side, row, col)
     push = _pushes(maps.push, heightmap, [p for p in avoid if isinstance(p, Push)])
-    half = holding(heightmap, np.isfinite(grasp[:HALF_TURN]))
+    faces = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
+    half = may_hold(*faces)
     held = np.where(np.concatenate((half, half)), grasp, np.float32(-np.inf))
     nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
-    return QMaps(push=push, grasp=grasp if nothing_else else held)
+    grasp = grasp if nothing_else else held
+    return AllowedMaps(push=push, grasp=grasp, sure=surely_hold(*faces))
 
 
-def graspable(heightmap: Heightmap) -> Mask:
+def graspable(heightmap: Heightmap, ground: Ground) -> Mask:
     """(16, 224, 224): a grasp closes on an object that was seen. Both fingers come down beside it
     on seen ground, and low enough; nothing of the gripper lands on what stands around. With a
     goal: on it or on what is in its way."""
     objects = rising(heightmap)
     if heightmap.goal is not None:
         objects &= heightmap.goal | in_the_way(heightmap)
-    ground = under_open_gripper(heightmap)
     half = objects & ground.known & have_room(heightmap.height, ground.highest)
     return np.concatenate((half, half))
 

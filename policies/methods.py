@@ -33,13 +33,15 @@ class Method:
     """choose: the best grasps, the best push and what was seen -> one of them; None if there
     is none. pushes: both maps are valued. judge: what Critic II makes of that choice, of the
     same grasps and push, and of each grasp's P_success; None: it has no say. considered: how many
-    grasps both are shown; with a goal, as many on it and as many of what is in its way."""
+    grasps both are shown; with a goal, as many on it and as many of what is in its way. sure_first:
+    of each, as many that surely hold what they close on, and after them as many of the others."""
 
     name: str
     choose: Rule
     pushes: bool = True
     judge: Judge | None = None
     considered: int = CONSIDERED
+    sure_first: bool = False
 
 
 def highest_value(
@@ -75,6 +77,7 @@ def border_occupancy(heightmap: Heightmap) -> float:
 
 
 SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
+SURE_OF_WEDGE = 0.95  # where the pads meet a wedge: of such grasps 30 % fail below, 3 % above
 FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
@@ -90,8 +93,9 @@ METHODS = {
         Method(
             name="tdpg-sure",
             choose=highest_value,
-            judge=partial(choose_if_sure, least=SURE),
+            judge=partial(choose_if_sure, least=SURE, least_if_doubtful=SURE_OF_WEDGE),
             considered=FEW,
+            sure_first=True,
         ),
     )
 }

@@ -7,6 +7,7 @@ from functools import cache
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from policies.fingers import under_closed_gripper
 from policies.heightmap import PIXEL, SIZE, Heightmap
@@ -22,6 +23,7 @@ MIDDLE = 0.8  # of how far the best push halves a pile, that is near enough to i
 GOAL_THROUGH = 0.06  # m that it goes on over where the goal lies
 BEYOND = 0.05  # m that are free beyond the end of a push that has the goal alone slide out
 PUSH_MARGIN = 0.06  # m inside of the border that a push ends: what it shoves ahead stays inside
+GOAL_MARGIN = 0.03  # m inside of it that the goal's middle stays, pushed as far as that
 _HALF_WIDTH = round(PUSH_HALF_WIDTH / PIXEL)
 
 
@@ -39,6 +41,8 @@ def pushable(heightmap: Heightmap) -> Iterator[Mask]:
     lowest = np.concatenate((ground.highest, ground.highest)) + np.float32(RISE)
     known = np.concatenate((ground.known, ground.known))
     starts = known & heightmap.valid & _ends_inside()
+    if heightmap.goal is not None:
+        starts &= _keeps_inside(heightmap.goal)[:, None, None]
     objects = rising(heightmap)
     beside = objects if heightmap.goal is None else objects & within(BESIDE, heightmap.goal)
 
@@ -58,6 +62,19 @@ def pushable(heightmap: Heightmap) -> Iterator[Mask]:
         yield for_long & (halved >= MIDDLE * halved.max())
     yield for_long
     yield meets(beside, PUSH_AT_LEAST)
+
+
+def _keeps_inside(goal: Mask) -> npt.NDArray[np.bool_]:
+    """(16,): pushes in that direction leave the goal in the workspace, however much of what they
+    shove ahead stands between the fingers and it."""
+    rows, cols = np.nonzero(goal)
+    reach, margin = PUSH_LENGTH / PIXEL, GOAL_MARGIN / PIXEL
+    kept = np.ones(ROTATIONS, np.bool_)
+    for rotation in range(ROTATIONS if len(rows) else 0):
+        up, left = _ahead(rotation)
+        row, col = rows.mean() - reach * up, cols.mean() - reach * left
+        kept[rotation] = margin <= min(row, col) and max(row, col) <= SIZE - 1 - margin
+    return kept
 
 
 def _met(heightmap: Heightmap, objects: Mask, until: float) -> Map:

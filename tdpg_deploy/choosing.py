@@ -6,7 +6,7 @@ Apart from the loop, so that a logged episode can be decided again by the same l
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from policies.errors import NoActionError
 from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision
 from policies.primitives import Primitive
+from policies.standing import Mask, within
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.change import changed
 from tdpg_deploy.errors import PlanRefused
@@ -24,6 +25,8 @@ from tdpg_deploy.safety import check
 
 OnRefused = Callable[[Decision, str], None]
 
+GOAL_PIXELS = 30  # of the heightmap: of which less is seen, a goal is hidden
+SEARCHED = 0.03  # m around where a goal was last seen
 MAX_REFUSALS = 100  # per look: behind a tall block many of the best need unseen ground
 
 
@@ -43,12 +46,14 @@ class Chooser:
         self._config = config
         self._rng = rng
         self._futile: list[_Futile] = []
+        self._goal_place: Mask | None = None  # where it was last seen
 
     def choose(self, seen: Heightmap, on_refused: OnRefused) -> tuple[Decision, Plan] | None:
         """The best action whose plan passes; None when there is none.
 
         on_refused: told every decision whose plan does not pass, and why.
         """
+        seen = self._searched(seen)
         refused: list[Primitive] = []
         while len(refused) < MAX_REFUSALS:
             decision = self._decide(seen, refused)
@@ -79,6 +84,17 @@ class Chooser:
         ):
             self._futile.append(_Futile(primitive=primitive, seen=before))
 
+    def _searched(self, seen: Heightmap) -> Heightmap:
+        """As it was seen, or while the goal is hidden: what stands where it was last seen is to be
+        taken away like a goal."""
+        if seen.goal is None:
+            return seen
+        if seen.goal.any():
+            self._goal_place = seen.goal
+        if is_seen(seen.goal) or self._goal_place is None:
+            return seen
+        return replace(seen, goal=within(SEARCHED, self._goal_place))
+
     def _decide(self, seen: Heightmap, refused: list[Primitive]) -> Decision | None:
         """None when nothing is left. What was futile comes last, for the stuck guard to end."""
         avoid = [*refused, *(action.primitive for action in self._futile)]
@@ -92,3 +108,8 @@ class Chooser:
             return self._policy.decide(seen, self._rng, avoid=refused)
         except NoActionError:
             return None
+
+
+def is_seen(goal: Mask) -> bool:
+    """Whether so many pixels of a heightmap show the goal that it is not hidden."""
+    return int(goal.sum()) >= GOAL_PIXELS

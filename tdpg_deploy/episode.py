@@ -15,7 +15,7 @@ from policies.policy import Decider, Decision
 from policies.primitives import Grasp, Primitive
 from tdpg_deploy.cell import Cell
 from tdpg_deploy.change import changed, gone
-from tdpg_deploy.choosing import Chooser
+from tdpg_deploy.choosing import Chooser, is_seen
 from tdpg_deploy.episode_record import EpisodeRecorder, EpisodeResult
 from tdpg_deploy.errors import ConfigError, DeviceError, LogError
 from tdpg_deploy.execution import execute, held, make_ready
@@ -30,7 +30,7 @@ OBJECT_RISE = 0.01  # m; no block is thinner than 25 mm
 OBJECT_PIXELS = 100  # the smallest face of a block has 312
 MOSTLY_KNOWN = 0.8  # share of the map to be known before an empty table is believed
 BARELY_KNOWN = 0.5
-GOAL_PIXELS = 30
+MAX_SEARCHES = 5  # actions in a row for a goal that was seen and is hidden now
 
 
 def run_episode(
@@ -111,6 +111,7 @@ class _Episode:
     confirm: Confirm | None
     counts: _Counts = field(default_factory=_Counts)
     fetched_goal: bool = False
+    hidden_for: int = 0  # looks in a row that did not show the goal
 
     def __post_init__(self) -> None:
         self.started = self.cell.clock.now()
@@ -121,7 +122,7 @@ class _Episode:
         while (reason := self.end_reason(seen)) is None:
             chosen = self.chooser.choose(seen, self.refused)
             if chosen is None:
-                return EndReason.NO_ACTION
+                return EndReason.GOAL_LOST if self.hidden_for else EndReason.NO_ACTION
             decision, plan = chosen
             if self.confirm is not None and not self.confirm(decision, plan):
                 return EndReason.OPERATOR_STOP
@@ -134,6 +135,8 @@ class _Episode:
         goal = cell.goal_pixels(frame) if self.goal and cell.goal_pixels is not None else None
         heightmap = build_heightmap(frame, config.X_base_camera, workspace, goal_pixels=goal)
         self.log.observe(frame, heightmap)
+        hidden = heightmap.goal is not None and not is_seen(heightmap.goal)
+        self.hidden_for = self.hidden_for + 1 if hidden else 0
         return heightmap
 
     def end_reason(self, seen: Heightmap) -> EndReason | None:
@@ -144,7 +147,7 @@ class _Episode:
             return EndReason.NOTHING_SEEN
         if not has_objects(seen):
             return EndReason.CLEARED if known >= MOSTLY_KNOWN else EndReason.NOTHING_SEEN
-        if self.goal and (seen.goal is None or int(seen.goal.sum()) < GOAL_PIXELS):
+        if self.hidden_for > (MAX_SEARCHES if self.counts.actions else 0):
             return EndReason.GOAL_LOST
         limits = self.cell.config.episode
         if self.counts.failures_in_a_row >= limits.max_failures:
@@ -212,4 +215,4 @@ def took_goal(primitive: Primitive, before: Heightmap, after: Heightmap) -> bool
     if not isinstance(primitive, Grasp) or before.goal is None or after.goal is None:
         return False
     row, col = before.workspace.to_pixel(primitive.x, primitive.y)
-    return bool(before.goal[row, col]) and int(after.goal.sum()) < GOAL_PIXELS
+    return bool(before.goal[row, col]) and is_seen(before.goal) and not is_seen(after.goal)

@@ -15,6 +15,7 @@ import numpy as np
 
 from policies.gripper import (
     CLOSED_GRIPPER,
+    GRASP_DEPTH,
     MAX_UNKNOWN,
     OPEN_GRIPPER,
     OPEN_WIDTH,
@@ -30,7 +31,6 @@ from tdpg_deploy.footprint import ground_under, rectangles
 from tdpg_deploy.geometry import Array, Transform, top_down
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 
-GRASP_DEPTH = 0.04  # m below the surface that is seen (VPG, robot.py)
 MIN_PUSH = 0.02  # m: less moves nothing
 BACK_OUT = 0.015  # m back after a push: what it wedged between the fingers comes free of them
 TOUCH_MARGIN = 0.02  # m over what was seen: depth, calibration and table_z err by less together

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdpg_deploy.cell import Cell
-from tdpg_deploy.episode import GOAL_PIXELS
+from tdpg_deploy.choosing import is_seen
 from tdpg_deploy.perception import build_heightmap
 from tdpg_deploy.sim.goal import GoalDetector
 from tdpg_deploy.workspace import workspace_of
@@ -28,6 +28,6 @@ def in_sight(cell: Cell) -> list[int]:
             frame, config.X_base_camera, workspace_of(config), goal_pixels=owner == index
         )
         assert heightmap.goal is not None
-        if int(heightmap.goal.sum()) >= GOAL_PIXELS:
+        if is_seen(heightmap.goal):
             seen.append(index)
     return seen

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import pytest
 from tables import goal_at, table_with
 
 from policies.heightmap import Heightmap
@@ -92,3 +95,12 @@ def test_a_push_neither_starts_on_unknown_ground_nor_ends_near_the_border() -> N
     down = any_kind(table_with((140, 100, 20, 20, 0.05)))[8, :, 110]
     assert down[128]
     assert not down[129]  # it would end 29 pixels from the border: 58 mm
+
+
+@pytest.mark.parametrize(("col", "kept"), [(100, range(16)), (180, range(9))])
+def test_a_push_leaves_the_goal_in_the_workspace(col: int, kept: Sequence[int]) -> None:
+    """Rotations 0 to 8 are straight up, to the left, straight down. Of what is beside the goal too,
+    for it may stand between the fingers and the goal."""
+    blocks = (100, col, 20, 20, 0.05), (100, col - 21, 20, 20, 0.05)
+    heightmap = table_with(*blocks, goal=goal_at(slice(100, 120), slice(col, col + 20)))
+    assert set(np.flatnonzero(any_kind(heightmap).any(axis=(1, 2)))) == set(kept)

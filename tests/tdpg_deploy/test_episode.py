@@ -25,7 +25,7 @@ from policies.primitives import Grasp, Primitive, Push
 from tdpg_deploy.cell import Cell, GoalPixels
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.choosing import MAX_REFUSALS
-from tdpg_deploy.episode import run_episode, witnessed
+from tdpg_deploy.episode import MAX_SEARCHES, run_episode, took_goal, witnessed
 from tdpg_deploy.episode_record import EpisodeResult
 from tdpg_deploy.errors import CameraError, ConfigError, LogError, ProtectiveStop
 from tdpg_deploy.hal import ArmState, GripperState, RgbdFrame
@@ -218,6 +218,64 @@ def test_a_goal_that_is_not_seen_is_lost() -> None:
     table = Table(CONFIG, Box(x=0.5, y=0.0))
     cell = kinematic_cell(table, goal_pixels=shows())
     assert run(cell, goal=True).reason is EndReason.GOAL_LOST
+
+
+def hides(pixels: GoalPixels, hidden: Callable[[], bool]) -> GoalPixels:
+    def seen(frame: RgbdFrame) -> npt.NDArray[np.bool_]:
+        return np.zeros(frame.depth.shape, np.bool_) if hidden() else pixels(frame)
+
+    return seen
+
+
+def away_then_goal(other: Box) -> Rule:
+    """One grasp of another box, then all on the goal."""
+    actions = iter([Grasp(x=other.x, y=other.y, z=TABLE_Z + other.height, yaw=0.0)])
+    return lambda heightmap, avoid: next(actions, None) or grasp_goal(heightmap, avoid)
+
+
+def test_a_goal_that_is_hidden_is_searched_for_where_it_was_seen() -> None:
+    goal, other = Box(x=0.45, y=0.1, height=0.03), Box(x=0.55, y=-0.1, height=0.08)
+    cover, far = Box(x=0.505, y=0.1, height=0.07), Box(x=0.45, y=-0.1, height=0.06)
+    table = Table(CONFIG, goal, cover, other, far)
+    hidden = hides(shows(goal), lambda: other not in table.boxes and cover in table.boxes)
+    result = run(kinematic_cell(table, goal_pixels=hidden), away_then_goal(other), goal=True)
+    assert (result.reason, result.actions) == (EndReason.GOAL_REACHED, 3)
+    assert table.boxes == [far]
+
+
+def test_the_search_for_a_hidden_goal_ends() -> None:
+    goal = Box(x=0.4, y=0.1, height=0.03)
+    heights = 0.04 + 0.005 * np.arange(MAX_SEARCHES + 2)
+    others = [Box(x=0.6, y=0.055 * i - 0.19, height=float(h)) for i, h in enumerate(heights)]
+    table = Table(CONFIG, goal, *others)
+    hidden = hides(shows(goal), lambda: len(table.boxes) <= len(others))
+    result = run(kinematic_cell(table, goal_pixels=hidden), goal=True)
+    assert (result.reason, result.actions) == (EndReason.GOAL_LOST, 1 + MAX_SEARCHES)
+
+
+def test_a_hidden_goal_is_lost_where_nothing_is_left_to_search() -> None:
+    goal, other = Box(x=0.45, y=0.1, height=0.04), Box(x=0.55, y=-0.1, height=0.07)
+    table = Table(CONFIG, goal, other)
+    hidden = hides(shows(goal), lambda: other not in table.boxes)
+    actions = iter([Grasp(x=other.x, y=other.y, z=TABLE_Z + other.height, yaw=0.0)])
+    result = run(
+        kinematic_cell(table, goal_pixels=hidden), lambda *_: next(actions, None), goal=True
+    )
+    assert (result.reason, result.actions) == (EndReason.GOAL_LOST, 1)
+
+
+def test_a_grasp_near_what_little_is_seen_of_a_goal_has_not_fetched_it() -> None:
+    goal = np.zeros((SIZE, SIZE), np.bool_)
+    goal[100:105, 100:105] = True
+    before = Heightmap(
+        workspace=workspace_of(CONFIG),
+        color=np.zeros((SIZE, SIZE, 3), np.uint8),
+        height=np.where(goal, 0.05, 0.0).astype(np.float32),
+        goal=goal,
+    )
+    x, y = (float(value) for value in before.workspace.to_base(102, 102))
+    after = replace(before, goal=np.zeros_like(goal))
+    assert not took_goal(Grasp(x=x, y=y, z=-0.1, yaw=0.0), before, after)
 
 
 @pytest.mark.parametrize(
