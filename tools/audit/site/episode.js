@@ -136,10 +136,10 @@ const isOverruled = (step) => Boolean(step.verdict && step.verdict.overruled);
 function critic(step) {
   if (!step.verdict) return card("Critic II", el("p", { class: "faded" }, "this policy has none"));
   const p = step.verdict.p;
-  const width = 400, height = 120;
+  const width = 400, height = 120, apart = Math.min(39, (width - 8) / p.length);
   const bars = p.map((value, i) => svg("g", {},
-    svg("rect", { x: 8 + i * 39, width: 30, y: 96 - 88 * (value || 0), height: 88 * (value || 0) + 1, rx: 3, fill: "var(--accent)" }),
-    svg("text", { x: 23 + i * 39, y: 112, "text-anchor": "middle" }, value === null ? "–" : value.toFixed(2))));
+    svg("rect", { x: 4 + i * apart, width: 0.77 * apart, y: 96 - 88 * (value || 0), height: 88 * (value || 0) + 1, rx: 3, fill: "var(--accent)" }),
+    svg("text", { x: 4 + (i + 0.385) * apart, y: 112, "text-anchor": "middle" }, value === null ? "–" : value.toFixed(2))));
   return card("Critic II: success of the best grasps",
     svg("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "predicted success of the best grasps" },
       svg("line", { class: "axis", x1: 0, x2: width, y1: 97, y2: 97 }), bars),
@@ -149,7 +149,7 @@ function critic(step) {
 function overruled(step) {
   const other = step.kind === "push" ? "grasp" : "push";
   const best = Math.max(...step.candidates.filter((one) => one.kind === other).map((one) => one.q));
-  const q = Number.isFinite(best) ? ` (q ${best.toFixed(2)}, against ${step.q.toFixed(2)})` : "";
+  const q = Number.isFinite(best) ? ` (q ${best.toFixed(2)})` : "";
   return `overruled Critic I, which preferred a ${other}${q}`;
 }
 
