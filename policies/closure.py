@@ -52,14 +52,21 @@ def wedges(heightmap: Heightmap, grasps: Mask, ground: npt.ArrayLike) -> tuple[M
 
 def may_hold(sideways: Map, downwards: Map) -> Mask:
     """Whether wedges are not such that all slips out of them."""
-    may: Mask = np.hypot(sideways / MAX_SIDEWAYS, downwards / MAX_DOWNWARDS) <= 1
+    may: Mask = _sum(sideways / MAX_SIDEWAYS, downwards / MAX_DOWNWARDS) <= 1
     return may
 
 
 def surely_hold(sideways: Map, downwards: Map) -> Mask:
     """Whether wedges are well within what friction holds."""
-    sure: Mask = np.hypot(sideways, downwards) <= SURE_WEDGE
+    sure: Mask = _sum(sideways, downwards) <= SURE_WEDGE
     return sure
+
+
+def _sum(sideways: Map, downwards: Map) -> Map:
+    """Of two small angles across each other."""
+    whole = np.full_like(sideways, np.inf)
+    np.hypot(sideways, downwards, out=whole, where=sideways < np.inf)
+    return whole
 
 
 def _between_the_pads(yaw: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -73,8 +80,8 @@ def _sideways(around: Map, top: Map) -> Array:
     """(k,) radians between the outlines of what stands between the pads, (k, 6, n), at the depth
     that the fingers reach at least."""
     solid = around > np.maximum(top - MIN_GRASP_DEPTH, FLAT)[:, None, None]
-    met = np.asarray(solid.any(axis=2))
     first, last = solid.argmax(axis=2), solid[:, :, ::-1].argmax(axis=2)
+    met = np.take_along_axis(solid, first[:, :, None], axis=2)[:, :, 0]
     wedge: Array = np.abs(_turned(_ALONG[first], met) - _turned(_ALONG[::-1][last], met))
     return wedge
 
@@ -105,6 +112,8 @@ def _met(side: Map, level: Map) -> Array:
     """(k,) metres that a pad closes, from its open place, until at this height it meets two of the
     lines (k, 6, n): one alone may be noise."""
     solid = side > level[:, None, None]
-    way = np.where(solid.any(axis=2), solid.argmax(axis=2), solid.shape[2])
+    first = solid.argmax(axis=2)
+    met = np.take_along_axis(solid, first[:, :, None], axis=2)[:, :, 0]
+    way = np.where(met, first, solid.shape[2])
     second: Array = np.partition(way, 1, axis=1)[:, 1] * PIXEL
     return second
