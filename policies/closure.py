@@ -16,10 +16,8 @@ from policies.heightmap import PIXEL, RIM, WIDE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 from policies.standing import Map, Mask
 
-# Twice the friction angle of rubber on wood is 71.6 degrees.
-SURE_WEDGE = np.radians(60)  # well below it
-MAX_DOWNWARDS = np.radians(75)  # with what pixels err
-MAX_SIDEWAYS = np.radians(90)  # what stands on the table may turn and lie flat against the pads
+MAX_WEDGE = np.radians(75)  # twice the friction angle of rubber on wood, with what pixels err ...
+SURE_WEDGE = np.radians(60)  # ... and less what they err
 
 OVER_TIPS = 0.006  # m over the tips where the pads meet a face: less may be noise
 UP_TO = 0.016  # m that a face is followed up from there, ...
@@ -32,41 +30,22 @@ _ACROSS = np.linspace(-1, 1, 6) * (PAD_WIDTH - PIXEL) / 2  # less what a pixel m
 Array = npt.NDArray[np.float64]
 
 
-def wedges(heightmap: Heightmap, grasps: Mask, ground: npt.ArrayLike) -> tuple[Map, Map]:
-    """Twice (8, 224, 224) radians, sideways and downwards, between the faces that the pads of each
-    of `grasps` meet; inf elsewhere. ground: metres above the table that keep the finger tips up,
-    for each grasp; broadcasts."""
+def wedges(heightmap: Heightmap, grasps: Mask, ground: npt.ArrayLike) -> Map:
+    """(8, 224, 224) radians between the faces that the pads of each of `grasps` meet; inf
+    elsewhere. ground: metres above the table that keep the finger tips up, for each grasp;
+    broadcasts."""
     height = np.nan_to_num(heightmap.wide).ravel()
     ground = np.broadcast_to(ground, grasps.shape)
-    sideways, downwards = np.full((2, *grasps.shape), np.inf, np.float32)
+    wedge = np.full(grasps.shape, np.inf, np.float32)
     for rotation in range(HALF_TURN):
         rows, cols = np.nonzero(grasps[rotation])
         down, right = _between_the_pads(rotation * 2 * np.pi / ROTATIONS)
         at = (rows + RIM) * WIDE + cols + RIM
         around = height[at[:, None, None] + (down * WIDE + right)]
         top, floor = height[at], ground[rotation, rows, cols]
-        sideways[rotation, rows, cols] = _sideways(around, top)
-        downwards[rotation, rows, cols] = _downwards(around, top, floor)
-    return sideways, downwards
-
-
-def may_hold(sideways: Map, downwards: Map) -> Mask:
-    """Whether wedges are not such that all slips out of them."""
-    may: Mask = _sum(sideways / MAX_SIDEWAYS, downwards / MAX_DOWNWARDS) <= 1
-    return may
-
-
-def surely_hold(sideways: Map, downwards: Map) -> Mask:
-    """Whether wedges are well within what friction holds."""
-    sure: Mask = _sum(sideways, downwards) <= SURE_WEDGE
-    return sure
-
-
-def _sum(sideways: Map, downwards: Map) -> Map:
-    """Of two small angles across each other."""
-    whole = np.full_like(sideways, np.inf)
-    np.hypot(sideways, downwards, out=whole, where=sideways < np.inf)
-    return whole
+        sideways, downwards = _sideways(around, top), _downwards(around, top, floor)
+        wedge[rotation, rows, cols] = np.hypot(sideways, downwards)  # small angles, one across
+    return wedge
 
 
 def _between_the_pads(yaw: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

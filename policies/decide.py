@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Literal
 
@@ -24,14 +24,13 @@ _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One entry of the Q-maps. doubtful: a grasp whose pads meet a wedge."""
+    """One entry of the Q-maps."""
 
     kind: Literal["grasp", "push"]
     rotation: int
     row: int
     col: int
     q: float
-    doubtful: bool = False
 
 
 # --- which one is chosen ----------------------------------------------------------------------
@@ -70,7 +69,7 @@ def best_grasps(
     places = (everywhere,) if goal is None else (goal, ~goal)
     holds = (everywhere,) if sure is None else (sure, ~sure)
     return tuple(
-        replace(grasp, doubtful=hold is not holds[0])
+        grasp
         for place, hold in product(places, holds)
         for grasp in _best_apart(np.where(place & hold, values, np.float32(-np.inf)), rng, count)
     )
@@ -122,18 +121,13 @@ def choose_if_sure(
     p_success: npt.NDArray[np.float64],
     *,
     least: float,
-    least_if_doubtful: float,
 ) -> Choice:
-    """The first of the grasps to which Critic II gives `least` or more, or where the pads meet a
-    wedge `least_if_doubtful`, else the best push. Not of the paper, whose rule looks for a better
-    one among ten. Grasps: Critic I's best few, or with a goal those on the goal, and after them
-    those of what is in its way. Where no push is allowed, the surest of them is made.
+    """The first of the grasps to which Critic II gives `least` or more, else the best push. Not of
+    the paper, whose rule looks for a better one among ten. Grasps: Critic I's best few that surely
+    hold, then of the others; with a goal those on it, and after them those of what is in its way.
+    Where no push is allowed, the surest of them is made.
     """
-    sure = (
-        grasp
-        for grasp, p in zip(grasps, p_success, strict=True)
-        if p >= (least_if_doubtful if grasp.doubtful else least)
-    )
+    sure = (grasp for grasp, p in zip(grasps, p_success, strict=True) if p >= least)
     return next(sure, grasps[int(np.argmax(p_success))] if push is None else push)
 
 

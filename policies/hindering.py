@@ -86,5 +86,5 @@ def _of_goal_alone(heightmap: Heightmap, goal: Mask) -> Mask:
     """(8, 224, 224): grasps that would fit and hold firmly if nothing else stood on the table."""
     alone = np.where(goal, heightmap.height, np.float32(0))
     grasps = goal & (pixels_under(goal, _TIP) <= SPECK)
-    held: Mask = np.hypot(*wedges(replace(heightmap, height=alone, rim=None), grasps, 0.0)) <= FIRM
+    held: Mask = wedges(replace(heightmap, height=alone, rim=None), grasps, 0.0) <= FIRM
     return held

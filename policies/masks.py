@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from policies.closure import may_hold, surely_hold, wedges
+from policies.closure import MAX_WEDGE, SURE_WEDGE, wedges
 from policies.fingers import Ground, under_open_gripper
 from policies.gripper import have_room
 from policies.heightmap import PIXEL, SIZE, Heightmap
@@ -39,12 +39,11 @@ def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) 
             for side in (rotation, rotation + HALF_TURN):
                 strike_out(grasp, side, row, col)
     push = _pushes(maps.push, heightmap, [p for p in avoid if isinstance(p, Push)])
-    faces = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
-    half = may_hold(*faces)
-    held = np.where(np.concatenate((half, half)), grasp, np.float32(-np.inf))
+    half = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
+    held = np.where(np.concatenate((half, half)) <= MAX_WEDGE, grasp, np.float32(-np.inf))
     nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
     grasp = grasp if nothing_else else held
-    return AllowedMaps(push=push, grasp=grasp, sure=surely_hold(*faces))
+    return AllowedMaps(push=push, grasp=grasp, sure=half <= SURE_WEDGE)
 
 
 def graspable(heightmap: Heightmap, ground: Ground) -> Mask:

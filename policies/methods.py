@@ -77,9 +77,6 @@ def border_occupancy(heightmap: Heightmap) -> float:
 
 
 SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
-SURE_OF_WEDGE = (
-    0.85  # where the pads meet a wedge: of those below half fail, of those above a third
-)
 FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
@@ -95,7 +92,7 @@ METHODS = {
         Method(
             name="tdpg-sure",
             choose=highest_value,
-            judge=partial(choose_if_sure, least=SURE, least_if_doubtful=SURE_OF_WEDGE),
+            judge=partial(choose_if_sure, least=SURE),
             considered=FEW,
             sure_first=True,
         ),

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tables import WORKSPACE, table_with
 
-from policies.closure import MAX_DOWNWARDS, may_hold, surely_hold, wedges
+from policies.closure import MAX_WEDGE, SURE_WEDGE, wedges
 from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.policy import HALF_TURN, ROTATIONS
 
@@ -29,32 +29,27 @@ def standing(solid: npt.NDArray[np.bool_], top: float = 0.05) -> Heightmap:
     return Heightmap(workspace=WORKSPACE, color=np.zeros((SIZE, SIZE, 3), np.uint8), height=height)
 
 
-def wedges_at(
+def wedge_at(
     heightmap: Heightmap, rotation: int, row: int = ROW, col: int = COL, *, ground: float = 0.0
-) -> tuple[float, float]:
-    """Sideways and downwards, rad."""
+) -> float:
     grasps = np.zeros((HALF_TURN, SIZE, SIZE), np.bool_)
     grasps[rotation, row, col] = True
-    faces = wedges(heightmap, grasps, ground)
-    assert all(np.isinf(wedge[~grasps]).all() for wedge in faces)
-    assert (may_hold(*faces) & ~grasps).sum() == 0
-    sideways, downwards = (float(wedge[rotation, row, col]) for wedge in faces)
-    return sideways, downwards
+    wedge = wedges(heightmap, grasps, ground)
+    assert np.isinf(wedge[~grasps]).all()
+    return float(wedge[rotation, row, col])
 
 
 def is_held(heightmap: Heightmap, rotation: int, row: int = ROW, col: int = COL) -> bool:
-    sideways, downwards = wedges_at(heightmap, rotation, row, col)
-    return bool(may_hold(np.full(1, sideways, np.float32), np.full(1, downwards, np.float32))[0])
+    return bool(wedge_at(heightmap, rotation, row, col) <= MAX_WEDGE)
 
 
 def is_surely_held(heightmap: Heightmap, rotation: int, row: int = ROW, col: int = COL) -> bool:
-    sideways, downwards = wedges_at(heightmap, rotation, row, col)
-    return bool(surely_hold(np.full(1, sideways, np.float32), np.full(1, downwards, np.float32))[0])
+    return bool(wedge_at(heightmap, rotation, row, col) <= SURE_WEDGE)
 
 
 @given(
     st.integers(0, HALF_TURN - 1),
-    st.floats(0, 50) | st.floats(70, 80) | st.floats(100, 115),
+    st.floats(0, 50) | st.floats(66, 68) | st.floats(85, 110),
     st.sampled_from([-1, 1]),
     st.floats(-8, 8),
 )
@@ -69,7 +64,7 @@ def test_a_wedge_is_held_surely_or_perhaps_or_slips_out(
     right = 0.019 + side * across * np.tan(half - turn)
     solid = (along <= left) & (along >= -right) & (abs(across) <= 0.012)
     assert is_surely_held(standing(solid), rotation) == (wedge < 60)
-    assert is_held(standing(solid), rotation) == (wedge < 90)
+    assert is_held(standing(solid), rotation) == (wedge < 75)
 
 
 @given(
@@ -94,11 +89,11 @@ def test_a_bar_is_held_however_it_is_turned(rotation: int) -> None:
     assert is_surely_held(standing(bar), rotation)
 
 
-def test_the_corner_of_a_block_is_doubtful_and_its_sides_are_not() -> None:
+def test_the_corner_of_a_block_is_squeezed_out_and_its_sides_are_held() -> None:
     block = table_with((100, 100, 24, 24, 0.05))
     assert is_surely_held(block, 0, 112, 112)
     assert is_surely_held(block, 4, 112, 112)
-    assert not is_surely_held(block, 6, 104, 104)  # across the upper left corner
+    assert not is_held(block, 6, 104, 104)  # across the upper left corner
     assert is_surely_held(block, 2, 112, 112)  # from corner to corner, which lean both ways alike
 
 
@@ -107,16 +102,14 @@ def test_what_the_fingers_reach_above_does_not_count() -> None:
     along, across = along_and_across(2)
     plate = (abs(along) <= 0.03 - across) & (across >= -0.012)
     tower = standing(plate, 0.03)
-    assert not is_surely_held(tower, 2)
+    assert not is_held(tower, 2)
     tower.height[along**2 + across**2 <= 0.02**2] = 0.08
     assert is_surely_held(tower, 2)
 
 
 def test_nothing_is_asked_of_no_grasps_and_holes_are_no_faces() -> None:
     heightmap = table_with((100, 100, 24, 24, 0.05))
-    none = wedges(heightmap, np.zeros((HALF_TURN, SIZE, SIZE), np.bool_), 0.0)
-    assert not may_hold(*none).any()
-    assert not surely_hold(*none).any()
+    assert np.isinf(wedges(heightmap, np.zeros((HALF_TURN, SIZE, SIZE), np.bool_), 0.0)).all()
     heightmap.height[90:98, 90:130] = np.nan
     assert is_surely_held(heightmap, 0, 112, 112)
 
@@ -139,10 +132,9 @@ def test_the_slopes_of_a_roof_make_its_wedge_and_its_gables_make_none(
 ) -> None:
     pixel = np.arctan2(PIXEL, 0.016)  # that each outline may err, over what a face is followed up
     heightmap = roof(rotation, wedge)
-    sideways, downwards = wedges_at(heightmap, rotation)
-    assert np.radians(wedge) - 4 * pixel <= downwards <= np.radians(wedge) + pixel
-    assert sideways <= np.radians(15)
-    assert wedges_at(heightmap, (rotation + HALF_TURN // 2) % HALF_TURN)[1] <= pixel
+    measured = wedge_at(heightmap, rotation)
+    assert np.radians(wedge) - 4 * pixel <= measured <= np.radians(wedge) + 2 * pixel
+    assert wedge_at(heightmap, (rotation + HALF_TURN // 2) % HALF_TURN) <= 2 * pixel
 
 
 def test_only_what_the_pads_can_reach_of_a_slope_counts() -> None:
@@ -151,8 +143,8 @@ def test_only_what_the_pads_can_reach_of_a_slope_counts() -> None:
     heightmap = roof(0, 90)
     height = heightmap.height
     height[:] = np.where(height > 0.02, height + 0.01, 0)
-    assert wedges_at(heightmap, 0)[1] <= np.radians(20)
-    assert wedges_at(heightmap, 0, ground=0.025)[1] > MAX_DOWNWARDS
+    assert wedge_at(heightmap, 0) <= np.radians(20)
+    assert wedge_at(heightmap, 0, ground=0.025) > MAX_WEDGE
 
 
 @given(st.integers(0, HALF_TURN - 1), st.floats(0.03, 0.038))
@@ -162,13 +154,13 @@ def test_a_ball_is_held_about_its_middle_and_not_from_above(rotation: int, radiu
     rest = radius**2 - along**2 - across**2
     ball = standing(rest > 0)
     ball.height[:] = np.where(rest > 0, radius + np.sqrt(np.maximum(rest, 0)), 0)
-    assert wedges_at(ball, rotation)[1] <= np.radians(40)
-    assert wedges_at(ball, rotation, ground=1.4 * radius)[1] > np.radians(45)
+    assert wedge_at(ball, rotation) <= np.radians(40)
+    assert wedge_at(ball, rotation, ground=1.4 * radius) > np.radians(45)
 
 
 def test_a_lone_high_line_is_no_face() -> None:
     """Noise in front of a block, one pixel wide."""
     heightmap = table_with((100, 100, 24, 24, 0.05))
-    before = wedges_at(heightmap, 0, 112, 112)[1]
+    before = wedge_at(heightmap, 0, 112, 112)
     heightmap.height[92, 112] = 0.02
-    assert wedges_at(heightmap, 0, 112, 112)[1] == before
+    assert wedge_at(heightmap, 0, 112, 112) == before
