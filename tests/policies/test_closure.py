@@ -47,24 +47,35 @@ def is_surely_held(heightmap: Heightmap, rotation: int, row: int = ROW, col: int
     return bool(wedge_at(heightmap, rotation, row, col) <= SURE_WEDGE)
 
 
-@given(
-    st.integers(0, HALF_TURN - 1),
-    st.floats(0, 50) | st.floats(66, 68) | st.floats(85, 110),
-    st.sampled_from([-1, 1]),
-    st.floats(-8, 8),
-)
-@settings(max_examples=60)
-def test_a_wedge_is_held_surely_or_perhaps_or_slips_out(
-    rotation: int, wedge: float, side: int, turned: float
-) -> None:
-    """Two faces, each half the wedge from the pads, all of it turned a little between them."""
+def wedge_between(rotation: int, wedge: float, side: int, turned: float) -> Heightmap:
+    """Two faces, each half the wedge (degrees) from the pads, all of it turned a little between
+    them."""
     along, across = along_and_across(rotation)
     half, turn = np.radians(wedge / 2), np.radians(turned)
     left = 0.019 + side * across * np.tan(half + turn)
     right = 0.019 + side * across * np.tan(half - turn)
-    solid = (along <= left) & (along >= -right) & (abs(across) <= 0.012)
-    assert is_surely_held(standing(solid), rotation) == (wedge < 60)
-    assert is_held(standing(solid), rotation) == (wedge < 75)
+    return standing((along <= left) & (along >= -right) & (abs(across) <= 0.012))
+
+
+@given(
+    st.integers(0, HALF_TURN - 1),
+    st.floats(0, 50) | st.floats(85, 110),
+    st.sampled_from([-1, 1]),
+    st.floats(-8, 8),
+)
+@settings(max_examples=60)
+def test_a_wedge_slips_out_where_it_opens_by_more_than_twice_the_friction_angle(
+    rotation: int, wedge: float, side: int, turned: float
+) -> None:
+    held = wedge_between(rotation, wedge, side, turned)
+    assert is_surely_held(held, rotation) == is_held(held, rotation) == (wedge < 75)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_wedge_near_twice_the_friction_angle_is_not_surely_held(side: int) -> None:
+    held = wedge_between(0, 67, side, 0)
+    assert is_held(held, 0)
+    assert not is_surely_held(held, 0)
 
 
 @given(
