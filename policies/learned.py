@@ -61,10 +61,11 @@ class LearnedPolicy:
                 f"it was not seen, or all was to be avoided ({len(avoid)} actions)"
             )
         verdict = None
-        if self.method.judge is not None and grasps:
+        judge = self.method.judge_of(heightmap)
+        if judge is not None and grasps:
             with _timed(seconds, "critic_two"):
                 p_success = critic_two(self._network, features, grasps)
-                agreed = self.method.judge(chosen, grasps, push, p_success)
+                agreed = judge(chosen, grasps, push, p_success)
             verdict = CriticVerdict(
                 p_success=tuple(p_success.tolist()), overruled=agreed.kind != chosen.kind
             )

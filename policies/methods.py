@@ -32,16 +32,23 @@ Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float6
 class Method:
     """choose: the best grasps, the best push and what was seen -> one of them; None if there
     is none. pushes: both maps are valued. judge: what Critic II makes of that choice, of the
-    same grasps and push, and of each grasp's P_success; None: it has no say. considered: how many
-    grasps both are shown; with a goal, as many on it and as many of what is in its way. sure_first:
-    of each, as many that surely hold what they close on, and after them as many of the others."""
+    same grasps and push, and of each grasp's P_success; None: it has no say. judge_for_goal: in
+    its stead when a goal is to be fetched, if it differs. considered: how many grasps all are
+    shown; with a goal, as many on it and as many of what is in its way. sure_first: of each, as
+    many that surely hold what they close on, and after them as many of the others."""
 
     name: str
     choose: Rule
     pushes: bool = True
     judge: Judge | None = None
+    judge_for_goal: Judge | None = None
     considered: int = CONSIDERED
     sure_first: bool = False
+
+    def judge_of(self, heightmap: Heightmap) -> Judge | None:
+        if heightmap.goal is None or self.judge_for_goal is None:
+            return self.judge
+        return self.judge_for_goal
 
 
 def highest_value(
@@ -77,6 +84,7 @@ def border_occupancy(heightmap: Heightmap) -> float:
 
 
 SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
+SURE_OF_GOAL = 0.7  # and with a goal: what lies in a heap fails more often than Critic II believes
 FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
@@ -93,6 +101,7 @@ METHODS = {
             name="tdpg-sure",
             choose=highest_value,
             judge=partial(choose_if_sure, least=SURE),
+            judge_for_goal=partial(choose_if_sure, least=SURE_OF_GOAL),
             considered=FEW,
             sure_first=True,
         ),

@@ -20,6 +20,21 @@ def test_the_papers_methods_exist() -> None:
     assert METHODS["tdpg-base"].judge is None
 
 
+@pytest.mark.parametrize(
+    ("p", "goal", "expected"), [(0.65, 0, GRASP), (0.65, 1, PUSH), (0.7, 1, GRASP)]
+)
+def test_critic_two_must_be_surer_when_a_goal_is_fetched(
+    p: float, goal: bool, expected: Choice
+) -> None:
+    shown = np.ones((SIZE, SIZE), np.bool_)
+    heightmap = table_with(goal=shown if goal else None)
+    judge = METHODS["tdpg-sure"].judge_of(heightmap)
+    assert judge is not None
+    assert judge(GRASP, (GRASP,), PUSH, np.array([p])) is expected
+    assert METHODS["tdpg"].judge_of(heightmap) is choose_by_critic_two
+    assert METHODS["epg"].judge_of(heightmap) is None
+
+
 def test_border_occupancy_counts_what_stands_around_the_goal() -> None:
     goal = np.zeros((SIZE, SIZE), np.bool_)
     goal[100:120, 100:120] = True
