@@ -24,10 +24,10 @@ UP_TO = 0.016  # m that a face is followed up from there, ...
 UNDER_TOP = 0.006  # ... but not this close to the top, where edges are seen as round
 LEAST_RISE = 0.004  # m
 
-_ALONG = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL)
-_ACROSS = np.linspace(-1, 1, 6) * (PAD_WIDTH - PIXEL) / 2  # less what a pixel may err
-
 Array = npt.NDArray[np.float64]
+
+_ALONG: Array = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL)
+_ACROSS = np.linspace(-1, 1, 6) * (PAD_WIDTH - PIXEL) / 2  # less what a pixel may err
 
 
 def wedges(heightmap: Heightmap, grasps: Mask, ground: npt.ArrayLike) -> Map:
@@ -59,8 +59,8 @@ def _sideways(around: Map, top: Map) -> Array:
     """(k,) radians between the outlines of what stands between the pads, (k, 6, n), at the depth
     that the fingers reach at least."""
     solid = around > np.maximum(top - MIN_GRASP_DEPTH, FLAT)[:, None, None]
-    first, last = solid.argmax(axis=2), solid[:, :, ::-1].argmax(axis=2)
-    met = np.take_along_axis(solid, first[:, :, None], axis=2)[:, :, 0]
+    first, met = _first(solid)
+    last, _ = _first(solid[:, :, ::-1])
     wedge: Array = np.abs(_turned(_ALONG[first], met) - _turned(_ALONG[::-1][last], met))
     return wedge
 
@@ -90,9 +90,13 @@ def _downwards(around: Map, top: Map, ground: Map) -> Array:
 def _met(side: Map, level: Map) -> Array:
     """(k,) metres that a pad closes, from its open place, until at this height it meets two of the
     lines (k, 6, n): one alone may be noise."""
-    solid = side > level[:, None, None]
-    first = solid.argmax(axis=2)
-    met = np.take_along_axis(solid, first[:, :, None], axis=2)[:, :, 0]
-    way = np.where(met, first, solid.shape[2])
+    first, met = _first(side > level[:, None, None])
+    way = np.where(met, first, side.shape[2])
     second: Array = np.partition(way, 1, axis=1)[:, 1] * PIXEL
     return second
+
+
+def _first(solid: Mask) -> tuple[npt.NDArray[np.intp], Mask]:
+    """(k, 6) where on each line (k, 6, n) something is met first, and whether anything is."""
+    first = solid.argmax(axis=2)
+    return first, np.take_along_axis(solid, first[:, :, None], axis=2)[:, :, 0]

@@ -67,14 +67,16 @@ def pushable(heightmap: Heightmap) -> Iterator[Mask]:
 def _keeps_inside(goal: Mask) -> npt.NDArray[np.bool_]:
     """(16,): pushes in that direction leave the goal in the workspace, however much of what they
     shove ahead stands between the fingers and it."""
-    rows, cols = np.nonzero(goal)
-    reach, margin = PUSH_LENGTH / PIXEL, GOAL_MARGIN / PIXEL
-    kept = np.ones(ROTATIONS, np.bool_)
-    for rotation in range(ROTATIONS if len(rows) else 0):
-        up, left = _ahead(rotation)
-        row, col = rows.mean() - reach * up, cols.mean() - reach * left
-        kept[rotation] = margin <= min(row, col) and max(row, col) <= SIZE - 1 - margin
-    return kept
+    if not goal.any():
+        return np.ones(ROTATIONS, np.bool_)
+    row, col = (at.mean() for at in np.nonzero(goal))
+    margin = GOAL_MARGIN / PIXEL
+    return np.array(
+        [
+            _inside(row, up, margin) & _inside(col, left, margin)
+            for up, left in map(_ahead, range(ROTATIONS))
+        ]
+    )
 
 
 def _met(heightmap: Heightmap, objects: Mask, until: float) -> Map:
@@ -123,14 +125,19 @@ def _ahead(rotation: int) -> tuple[float, float]:
 @cache
 def _ends_inside() -> Mask:
     """(16, 224, 224): a push from there ends PUSH_MARGIN inside of the border or further."""
-    margin, reach, side = PUSH_MARGIN / PIXEL - 0.5, PUSH_LENGTH / PIXEL, np.arange(SIZE)
+    margin, side = PUSH_MARGIN / PIXEL - 0.5, np.arange(SIZE)
     inside = np.empty((ROTATIONS, SIZE, SIZE), np.bool_)
     for rotation in range(ROTATIONS):
-        rows, cols = (
-            (end >= margin) & (end <= SIZE - 1 - margin)
-            for end in (side - reach * step for step in _ahead(rotation))
-        )
-        inside[rotation] = rows[:, None] & cols
+        up, left = _ahead(rotation)
+        inside[rotation] = _inside(side, up, margin)[:, None] & _inside(side, left, margin)
+    return inside
+
+
+def _inside(at: npt.NDArray[np.intp] | float, step: float, margin: float) -> Mask:
+    """Whether rows or columns, moved by a push of so many pixels a pixel, end in the map, `margin`
+    pixels from its border."""
+    end = np.asarray(at - PUSH_LENGTH / PIXEL * step)
+    inside: Mask = (end >= margin) & (end <= SIZE - 1 - margin)
     return inside
 
 

@@ -59,7 +59,7 @@ def wedge_between(rotation: int, wedge: float, side: int, turned: float) -> Heig
 
 @given(
     st.integers(0, HALF_TURN - 1),
-    st.floats(0, 50) | st.floats(85, 110),
+    st.floats(0, 65) | st.floats(85, 110),
     st.sampled_from([-1, 1]),
     st.floats(-8, 8),
 )
@@ -68,7 +68,9 @@ def test_a_wedge_slips_out_where_it_opens_by_more_than_twice_the_friction_angle(
     rotation: int, wedge: float, side: int, turned: float
 ) -> None:
     held = wedge_between(rotation, wedge, side, turned)
-    assert is_surely_held(held, rotation) == is_held(held, rotation) == (wedge < 75)
+    assert is_held(held, rotation) == (wedge < 75)
+    if wedge < 50:
+        assert is_surely_held(held, rotation)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -81,15 +83,15 @@ def test_a_wedge_near_twice_the_friction_angle_is_not_surely_held(side: int) -> 
 @given(
     st.integers(0, HALF_TURN - 1),
     st.floats(0.028, 0.034),
-    st.floats(0, 0.25) | st.floats(0.85, 0.9),
+    st.floats(0, 0.3) | st.floats(0.85, 0.9),
 )
 @settings(max_examples=60)
-def test_a_disc_is_surely_held_near_its_middle(rotation: int, radius: float, beside: float) -> None:
+def test_a_disc_is_held_near_its_middle(rotation: int, radius: float, beside: float) -> None:
     """A chord that far from the middle, in radii, meets faces turned by its arc sine each; the
     pads reach from there by a third of a radius to both sides."""
     along, across = along_and_across(rotation)
     disc = along**2 + (across - beside * radius) ** 2 <= radius**2
-    assert is_surely_held(standing(disc), rotation) == (beside < 0.5)
+    assert is_held(standing(disc), rotation) == (beside < 0.5)
 
 
 @pytest.mark.parametrize("rotation", range(HALF_TURN))

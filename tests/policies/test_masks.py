@@ -111,12 +111,14 @@ def test_a_grasp_is_avoided_from_both_sides() -> None:
     heightmap = table_with(BLOCK)
     x, y = (float(value) for value in heightmap.workspace.to_base(110, 110))
     before = is_allowed(allowed(zeros(), heightmap).grasp)
-    after = is_allowed(allowed(zeros(), heightmap, [Grasp(x=x, y=y, z=0.0, yaw=0.0)]).grasp)
+    after = is_allowed(
+        allowed(zeros(), heightmap, [Grasp(x=x, y=y, z=0.0, yaw=15 * np.pi / 8)]).grasp
+    )
     struck = before & ~after
     rotations, rows, cols = np.nonzero(struck)
-    assert set(rotations) == {15, 0, 1, 7, 8, 9}
+    assert set(rotations) == {14, 15, 0, 6, 7, 8}
     assert np.hypot(rows - 110, cols - 110).max() == 5  # 10 mm
-    assert struck[0, 110, 115]
+    assert struck[15, 110, 115]
 
 
 def test_a_push_is_avoided_in_its_direction_alone() -> None:
@@ -143,6 +145,15 @@ def test_what_is_avoided_may_lie_outside_of_the_map() -> None:
     far = [Grasp(x=x, y=y, z=0.0, yaw=0.0) for x in (-5.0, 0.275, 5.0) for y in (-5.0, 0.0, 5.0)]
     before, after = allowed(zeros(), heightmap), allowed(zeros(), heightmap, far)
     np.testing.assert_array_equal(before.grasp, after.grasp)
+
+
+def test_a_corner_is_grasped_only_when_nothing_else_is_left() -> None:
+    wide = table_with((80, 80, 50, 50, 0.05))  # 100 mm: wider than the fingers open
+    corners = grasps_on(wide)
+    assert corners.any()
+    assert not is_allowed(allowed(zeros(), wide).grasp).any()  # there are pushes
+    no_push = QMaps(grasp=zeros().grasp, push=np.full(SHAPE, -np.inf, np.float32))
+    np.testing.assert_array_equal(is_allowed(allowed(no_push, wide).grasp), corners)
 
 
 def test_what_slips_down_out_of_the_pads_is_grasped_only_when_nothing_else_is_left() -> None:

@@ -264,17 +264,22 @@ def test_a_hidden_goal_is_lost_where_nothing_is_left_to_search() -> None:
     assert (result.reason, result.actions) == (EndReason.GOAL_LOST, 1)
 
 
-def test_a_grasp_near_what_little_is_seen_of_a_goal_has_not_fetched_it() -> None:
+def sees_goal(side: int) -> Heightmap:
+    """A square of that many pixels from row and column 100 on, 50 mm high."""
     goal = np.zeros((SIZE, SIZE), np.bool_)
-    goal[100:105, 100:105] = True
-    before = Heightmap(
+    goal[100 : 100 + side, 100 : 100 + side] = True
+    return Heightmap(
         workspace=workspace_of(CONFIG),
         color=np.zeros((SIZE, SIZE, 3), np.uint8),
         height=np.where(goal, 0.05, 0.0).astype(np.float32),
         goal=goal,
     )
+
+
+def test_a_grasp_near_what_little_is_seen_of_a_goal_has_not_fetched_it() -> None:
+    before = sees_goal(5)
     x, y = (float(value) for value in before.workspace.to_base(102, 102))
-    after = replace(before, goal=np.zeros_like(goal))
+    after = replace(before, goal=np.zeros((SIZE, SIZE), np.bool_))
     assert not took_goal(Grasp(x=x, y=y, z=-0.1, yaw=0.0), before, after)
 
 
@@ -284,15 +289,8 @@ def test_a_grasp_near_what_little_is_seen_of_a_goal_has_not_fetched_it() -> None
 )
 def test_a_goal_that_is_held_and_no_longer_seen_is_gone(held: str, seen: bool, gone: str) -> None:
     """Though the heightmap is as before: what it leant on rolled into its place."""
-    goal = np.zeros((SIZE, SIZE), np.bool_)
-    goal[100:120, 100:120] = True
-    before = Heightmap(
-        workspace=workspace_of(CONFIG),
-        color=np.zeros((SIZE, SIZE, 3), np.uint8),
-        height=np.where(goal, 0.05, 0.0).astype(np.float32),
-        goal=goal,
-    )
-    after = replace(before, goal=goal & seen)
+    before = sees_goal(20)
+    after = before if seen else replace(before, goal=np.zeros((SIZE, SIZE), np.bool_))
     x, y = (float(value) for value in before.workspace.to_base(110, 110))
     outcome = GraspOutcome(
         motion=Motion(contact=None, seconds=5.0),
