@@ -26,7 +26,7 @@ LEAST_RISE = 0.004  # m
 
 Array = npt.NDArray[np.float64]
 
-_ALONG: Array = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL)
+_ALONG: Array = np.arange(-OPEN_WIDTH / 2, OPEN_WIDTH / 2, PIXEL, dtype=np.float64)
 _ACROSS = np.linspace(-1, 1, 6) * (PAD_WIDTH - PIXEL) / 2  # less what a pixel may err
 
 
