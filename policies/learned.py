@@ -48,12 +48,14 @@ class LearnedPolicy:
         with _timed(seconds, "critic_one"):
             maps, features = self._valued(heightmap)
         with _timed(seconds, "choose"):
-            maps = allowed(maps, heightmap, avoid)
+            maps = allowed(maps, heightmap, avoid, any_push=self.method.any_push)
             sure = maps.sure if self.method.sure_first else None
             grasps = best_grasps(
                 maps, rng, goal=heightmap.goal, sure=sure, count=self.method.considered
             )
             push = best_push(maps, rng)
+            if heightmap.goal is not None and push is not None and push.q >= self.method.push_from:
+                grasps = tuple(grasp for grasp in grasps if heightmap.goal[grasp.row, grasp.col])
             chosen = self.method.choose(grasps, push, heightmap)
         if chosen is None:
             raise NoActionError(

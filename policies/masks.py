@@ -28,9 +28,12 @@ class AllowedMaps(QMaps):
     sure: Mask
 
 
-def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> AllowedMaps:
+def allowed(
+    maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = (), *, any_push: bool = False
+) -> AllowedMaps:
     """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
-    squeeze out what they close on are allowed when nothing else is left."""
+    squeeze out what they close on are allowed when nothing else is left. any_push: the values tell
+    promising pushes from others; else only the most promising kind of them is allowed."""
     ground = under_open_gripper(heightmap)
     grasp = np.where(graspable(heightmap, ground), maps.grasp, np.float32(-np.inf))
     for primitive in avoid:
@@ -38,7 +41,8 @@ def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) 
             rotation, row, col = _entry(primitive, heightmap)
             for side in (rotation, rotation + HALF_TURN):
                 strike_out(grasp, side, row, col)
-    push = _pushes(maps.push, heightmap, [p for p in avoid if isinstance(p, Push)])
+    pushes = [primitive for primitive in avoid if isinstance(primitive, Push)]
+    push = _pushes(maps.push, heightmap, pushes, any_push=any_push)
     half = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
     held = np.where(np.concatenate((half, half)) <= MAX_WEDGE, grasp, np.float32(-np.inf))
     nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
@@ -57,12 +61,12 @@ def graspable(heightmap: Heightmap, ground: Ground) -> Mask:
     return np.concatenate((half, half))
 
 
-def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push]) -> Map:
+def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push], *, any_push: bool) -> Map:
     """The values of the first kind of pushes of which any are left."""
     left = np.full_like(values, -np.inf)
     if np.isneginf(values).all():
         return left  # a policy that does not push
-    for mask in pushable(heightmap):
+    for mask in pushable(heightmap, any_push=any_push):
         left = np.where(mask, values, np.float32(-np.inf))
         for push in avoid:
             strike_out(left, *_entry(push, heightmap))

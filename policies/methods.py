@@ -6,7 +6,7 @@ GI is missing: its coordinator is a trained classifier, not a rule.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -35,7 +35,10 @@ class Method:
     same grasps and push, and of each grasp's P_success; None: it has no say. judge_for_goal: in
     its stead when a goal is to be fetched, if it differs. considered: how many grasps all are
     shown; with a goal, as many on it and as many of what is in its way. sure_first: of each, as
-    many that surely hold what they close on, and after them as many of the others."""
+    many that surely hold what they close on, and after them as many of the others. any_push: the
+    values of pushes are shares of what they free, and tell which are promising without further
+    rules. push_from: the value from which on a push is made for a goal before anything is lifted
+    that is in its way."""
 
     name: str
     choose: Rule
@@ -44,6 +47,8 @@ class Method:
     judge_for_goal: Judge | None = None
     considered: int = CONSIDERED
     sure_first: bool = False
+    any_push: bool = False
+    push_from: float = np.inf
 
     def judge_of(self, heightmap: Heightmap) -> Judge | None:
         if heightmap.goal is None or self.judge_for_goal is None:
@@ -85,6 +90,7 @@ def border_occupancy(heightmap: Heightmap) -> float:
 
 SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
 SURE_OF_GOAL = 0.7  # and with a goal: what lies in a heap fails more often than Critic II believes
+FREES = 0.6  # share of pushes like it that free a goal, from which on one is made at once
 FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
@@ -107,3 +113,6 @@ METHODS = {
         ),
     )
 }
+METHODS["tdpg-free"] = replace(
+    METHODS["tdpg-sure"], name="tdpg-free", any_push=True, push_from=FREES
+)

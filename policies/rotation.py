@@ -125,6 +125,17 @@ def patches(
     aligned, so that a network whose receptive field fits sees what it sees in the picture.
     Returns patches (n, C, size, size) and the actions' places in them (n, 2) in [-1, 1].
     """
+    index, places = around(rotations, rows, cols, size=size, stride=stride)
+    cuts = torch.cat([_gather(state, index[i : i + 1]) for i, state in enumerate(states)])
+    return cuts, places
+
+
+def around(
+    rotations: torch.Tensor, rows: torch.Tensor, cols: torch.Tensor, *, size: int, stride: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Which pixel of the map each pixel of such a patch shows, (n, size, size) flat indices, or
+    224 * 224 where it shows none; and the places in it (n, 2) in [-1, 1] of what it is cut
+    around: rows and cols (n,), which may lie between the map's pixels."""
     exact_row, exact_col = to_picture(rotations, rows, cols)
     top, left = (
         (torch.floor((exact + stride / 2) / stride) * stride - size // 2)
@@ -134,8 +145,7 @@ def patches(
     index = _nearest(
         rotations[:, None, None], top[:, None, None] + side[:, None], left[:, None, None] + side
     )
-    cuts = torch.cat([_gather(state, index[i : i + 1]) for i, state in enumerate(states)])
-    return cuts, _normalized(exact_row - top, exact_col - left, size)
+    return index, _normalized(exact_row - top, exact_col - left, size)
 
 
 def sample(values: torch.Tensor, places: torch.Tensor) -> torch.Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from policies.errors import HeightmapError
@@ -25,15 +26,31 @@ def encode(heightmap: Heightmap, *, goal: bool) -> torch.Tensor:
 
     Raises HeightmapError when a goal is asked for and the heightmap has none.
     """
-    seen = heightmap.valid
-    state = np.zeros((channels(goal=goal), SIZE, SIZE), np.float32)
-    state[INSIDE] = 1
-    state[SEEN] = seen
-    height = np.where(seen, heightmap.height, 0).clip(-HEIGHT_LIMIT, HEIGHT_LIMIT)
-    state[HEIGHT] = height * np.float32(HEIGHT_SCALE)
-    state[RED : BLUE + 1] = (heightmap.color.transpose(2, 0, 1) / np.float32(255) - 0.5) * seen
-    if goal:
-        if heightmap.goal is None:
-            raise HeightmapError("this policy fetches a goal, but Heightmap.goal is None: set it")
-        state[GOAL] = heightmap.goal
-    return torch.from_numpy(state)
+    if goal and heightmap.goal is None:
+        raise HeightmapError("this policy fetches a goal, but Heightmap.goal is None: set it")
+    inside = np.ones((SIZE, SIZE), np.bool_)
+    shown = heightmap.goal if goal else None
+    return torch.from_numpy(stacked(inside, heightmap.height, heightmap.color, shown))
+
+
+def stacked(
+    inside: npt.NDArray[np.bool_],
+    height: npt.NDArray[np.float32],
+    color: npt.NDArray[np.uint8],
+    goal: npt.NDArray[np.bool_] | None,
+) -> npt.NDArray[np.float32]:
+    """The channels (..., 6 or 7, h, w) of pictures (..., h, w), and (..., h, w, 3) of colour."""
+    seen = np.isfinite(height)
+    low_to_high = np.where(seen, height, 0).clip(-HEIGHT_LIMIT, HEIGHT_LIMIT)
+    state = np.empty(
+        (*height.shape[:-2], channels(goal=goal is not None), *height.shape[-2:]), np.float32
+    )
+    state[..., INSIDE, :, :] = inside
+    state[..., SEEN, :, :] = seen
+    state[..., HEIGHT, :, :] = low_to_high * np.float32(HEIGHT_SCALE)
+    for channel in range(3):
+        shade = color[..., channel] / np.float32(255) - np.float32(0.5)
+        state[..., RED + channel, :, :] = shade * seen
+    if goal is not None:
+        state[..., GOAL, :, :] = goal
+    return state

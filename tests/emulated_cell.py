@@ -6,6 +6,7 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -69,7 +70,16 @@ class EmulatorRig(CellProcess):
         wait_until(lambda: self.do("truth")["speed"] > 0.2, deadline=deadline)
 
     def wait_for_rest(self, *, deadline: float = 20.0) -> None:
-        wait_until(lambda: self.do("truth")["speed"] < STILL, deadline=deadline)
+        truth: dict[str, Any] = {}
+
+        def rests() -> bool:
+            truth.update(self.do("truth"))
+            return bool(truth["speed"] < STILL)
+
+        try:
+            wait_until(rests, deadline=deadline)
+        except AssertionError:
+            raise AssertionError(f"the arm does not come to rest: {truth}") from None
 
     def stands_still(self) -> bool:
         """For a second of the cell's time."""

@@ -10,13 +10,19 @@ from torch import nn
 from policies.networks.densenet import GROWTH
 from policies.networks.light import LightNet
 from policies.networks.maps import Network
+from policies.networks.twin import TwinNet
 from policies.networks.two_towers import TwoTowerNet
 
 # What `width` may be: channels of the light network at stride 2, DenseNet's growth rate.
-WIDTHS = {"light": range(4, 65), "densenet121": range(GROWTH, GROWTH + 1)}
+WIDTHS = {
+    "light": range(4, 65),
+    "twin": range(4, 65),
+    "densenet121": range(GROWTH, GROWTH + 1),
+}
 # Weights of first layers, whose last input channel is the goal mask where there is one.
 ENTRANCES = {
     "light": ("stem.weight",),
+    "twin": ("light.stem.weight",),
     "densenet121": tuple(
         f"{tower}.features.conv0.weight" for tower in ("color_tower", "depth_tower")
     ),
@@ -30,7 +36,9 @@ def build(kind: str, *, goal: bool, width: int) -> Network:
     if width not in WIDTHS[kind]:
         widths = WIDTHS[kind]
         raise ValueError(f"width = {width} is not within {widths[0]} to {widths[-1]} for {kind}")
-    return LightNet(goal=goal, width=width) if kind == "light" else TwoTowerNet(goal=goal)
+    if kind == "densenet121":
+        return TwoTowerNet(goal=goal)
+    return {"light": LightNet, "twin": TwinNet}[kind](goal=goal, width=width)
 
 
 def for_inference(network: Network, dtype: torch.dtype) -> Network:

@@ -37,7 +37,7 @@ class LightNet(Network):
         self.down4 = nn.Conv2d(fine, middle, 3, stride=2, padding=1)
         self.mix4 = nn.Conv2d(middle, middle, 3, padding=1)
         self.down8 = nn.Conv2d(middle, coarse, 3, stride=2, padding=1)
-        self.blocks = nn.ModuleList(_Residual(coarse, dilation) for dilation in (1, 2))
+        self.blocks = nn.ModuleList(Residual(coarse, dilation) for dilation in (1, 2))
         self.up4 = nn.Conv2d(coarse, middle, 1, bias=False)
         self.fuse4 = nn.Conv2d(middle, middle, 3, padding=1)
         self.up2 = nn.Conv2d(middle, fine, 1, bias=False)
@@ -45,9 +45,9 @@ class LightNet(Network):
         self.push_net = nn.Conv2d(fine, 1, 1)
         self.grasp_net = nn.Conv2d(fine, 1, 1)
         self.evaluation_net = _EvaluationNet(middle)
-        self.apply(_he)
+        self.apply(he)
         for block in self.blocks:
-            assert isinstance(block, _Residual)
+            assert isinstance(block, Residual)
             nn.init.zeros_(block.second.weight)  # blocks begin as the identity
         for head in (self.push_net, self.grasp_net):
             nn.init.normal_(head.weight, std=0.01)  # values begin near zero
@@ -57,13 +57,13 @@ class LightNet(Network):
         inside4 = picture[:, :1, 2::4, 2::4]  # at the middle of each cell
         inside8 = picture[:, :1, 4::8, 4::8]
         x2 = F.relu_(self.stem(picture))
-        x4 = _relu(self.down4(x2), inside4)
-        x4 = _relu(self.mix4(x4), inside4)
-        x8 = _relu(self.down8(x4), inside8)
+        x4 = relu_inside(self.down4(x2), inside4)
+        x4 = relu_inside(self.mix4(x4), inside4)
+        x8 = relu_inside(self.down8(x4), inside8)
         for block in self.blocks:
             x8 = block(x8, inside8)
         features = F.relu_(F.interpolate(self.up4(x8), scale_factor=2.0).add_(x4))
-        x4 = _relu(self.fuse4(features), inside4)
+        x4 = relu_inside(self.fuse4(features), inside4)
         x2 = F.relu_(F.interpolate(self.up2(x4), scale_factor=2.0).add_(x2))
         push, grasp = F.relu_(self.fuse2(x2)).chunk(2, dim=1)
         return Maps(push=self.push_net(push), grasp=self.grasp_net(grasp), features=features)
@@ -76,20 +76,20 @@ class LightNet(Network):
         inside4 = patches[:, :1, 2::4, 2::4]
         inside8 = patches[:, :1, 4::8, 4::8]
         # Slices name the cells of the whole patch that are left after convolving without padding.
-        x2 = F.relu_(_inner(self.stem, patches[:, :, 4:135, 4:135]))  # 3:66
-        x4 = _relu(_inner(self.down4, x2), inside4[:, :, 2:33, 2:33])
-        x4 = _relu(_inner(self.mix4, x4), inside4[:, :, 3:32, 3:32])
-        x8 = _relu(_inner(self.down8, x4), inside8[:, :, 2:16, 2:16])
+        x2 = F.relu_(unpadded(self.stem, patches[:, :, 4:135, 4:135]))  # 3:66
+        x4 = relu_inside(unpadded(self.down4, x2), inside4[:, :, 2:33, 2:33])
+        x4 = relu_inside(unpadded(self.mix4, x4), inside4[:, :, 3:32, 3:32])
+        x8 = relu_inside(unpadded(self.down8, x4), inside8[:, :, 2:16, 2:16])
         inside8 = inside8[:, :, 2:16, 2:16]
         for block in self.blocks:
-            assert isinstance(block, _Residual)
+            assert isinstance(block, Residual)
             x8, inside8 = block.inner(x8, inside8)  # 4:14, 7:11
         upper8 = F.interpolate(self.up4(x8), scale_factor=2.0)
         features = F.relu_(upper8.add_(x4[:, :, 11:19, 11:19]))  # 14:22
-        x4 = _relu(_inner(self.fuse4, features), inside4[:, :, 15:21, 15:21])
+        x4 = relu_inside(unpadded(self.fuse4, features), inside4[:, :, 15:21, 15:21])
         upper4 = F.interpolate(self.up2(x4), scale_factor=2.0)
         x2 = F.relu_(upper4.add_(x2[:, :, 27:39, 27:39]))  # 30:42
-        push, grasp = F.relu_(_inner(self.fuse2, x2)).chunk(2, dim=1)  # 31:41
+        push, grasp = F.relu_(unpadded(self.fuse2, x2)).chunk(2, dim=1)  # 31:41
         near2, near4 = places * (self.PATCH / (10 * 2)), places * (self.PATCH / (8 * 4))
         return (
             sample(self.push_net(push), near2)[:, 0],
@@ -113,31 +113,33 @@ class LightNet(Network):
         return logits.float()
 
 
-class _Residual(nn.Module):
+class Residual(nn.Module):
+    """Two convolutions, the second one dilated, beside the identity."""
+
     def __init__(self, channels: int, dilation: int) -> None:
         super().__init__()
         self.first = nn.Conv2d(channels, channels, 3, padding=1)
         self.second = nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation)
 
     def forward(self, x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
-        y = _relu(self.first(x), inside)
-        return _relu(self.second(y).add_(x), inside)
+        y = relu_inside(self.first(x), inside)
+        return relu_inside(self.second(y).add_(x), inside)
 
     def inner(self, x: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What `forward` makes of the middle, which no padding reaches, and `inside` there."""
-        y = _relu(_inner(self.first, x), inside[:, :, 1:-1, 1:-1])
-        y = _inner(self.second, y)
+        y = relu_inside(unpadded(self.first, x), inside[:, :, 1:-1, 1:-1])
+        y = unpadded(self.second, y)
         lost = (x.shape[2] - y.shape[2]) // 2
         inside = inside[:, :, lost:-lost, lost:-lost]
-        return _relu(y.add_(x[:, :, lost:-lost, lost:-lost]), inside), inside
+        return relu_inside(y.add_(x[:, :, lost:-lost, lost:-lost]), inside), inside
 
 
-def _inner(layer: nn.Conv2d, x: torch.Tensor) -> torch.Tensor:
+def unpadded(layer: nn.Conv2d, x: torch.Tensor) -> torch.Tensor:
     """The convolution without its padding."""
     return F.conv2d(x, layer.weight, layer.bias, layer.stride, 0, layer.dilation)
 
 
-def _relu(x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
+def relu_inside(x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
     """ReLU, and zero outside. In place, which halves the time of a decision."""
     return F.relu_(x.mul_(inside))
 
@@ -159,7 +161,8 @@ class _EvaluationNet(nn.Module):
         return logits[:, 0]
 
 
-def _he(module: nn.Module) -> None:
+def he(module: nn.Module) -> None:
+    """He's initialisation of a convolution, for ReLU."""
     if isinstance(module, nn.Conv2d):
         nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         if module.bias is not None:

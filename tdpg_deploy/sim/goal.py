@@ -17,12 +17,12 @@ from tdpg_deploy.sim.world import World
 class GoalDetector:
     """goals: the scene's objects to fetch; may be changed between episodes.
 
-    The world must not have moved since a frame was taken.
+    world: what it looks at, which must not have moved since a frame was taken.
     """
 
     def __init__(self, world: World, goals: Collection[int]) -> None:
         self.goals = goals
-        self._world = world
+        self.world = world
 
     def __call__(self, frame: RgbdFrame) -> npt.NDArray[np.bool_]:
         """(H, W): pixels of `frame` that show one of the goals."""
@@ -30,5 +30,5 @@ class GoalDetector:
 
     def owner(self, frame: RgbdFrame) -> npt.NDArray[np.int16]:
         """(H, W): the object that each pixel of `frame` shows, -1 where there is none."""
-        world = self._world
+        world = self.world
         return render(world.visible(), frame.intrinsics, true_pose(world.config)).owner

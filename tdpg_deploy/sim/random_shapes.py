@@ -8,12 +8,17 @@ from __future__ import annotations
 import numpy as np
 
 from tdpg_deploy.geometry import Array
-from tdpg_deploy.sim.bodies import Shape
+from tdpg_deploy.sim.bodies import SHAPES, Shape
 
 _STONE_CORNERS = 8, 16
 _LEAST, _MOST = 0.017, 0.036  # m from the axis to a side
 _LENGTH = 0.030, 0.090  # m along the axis
 _ROUND = 9  # sides from which on a stump rolls
+
+
+def odd_shapes(rng: np.random.Generator) -> dict[str, Shape]:
+    """As many stones and stumps for a table as there are blocks."""
+    return {str(number): random_shape(rng) for number in range(len(SHAPES))}
 
 
 def random_shape(rng: np.random.Generator) -> Shape:

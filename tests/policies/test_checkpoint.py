@@ -217,7 +217,10 @@ def sealed_config(**changes: object) -> bytes:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"network": "resnet"}, "config.network = 'resnet' is unknown; known are light, dense"),
+        (
+            {"network": "resnet"},
+            "config.network = 'resnet' is unknown; known are light, twin, dense",
+        ),
         ({"width": "16"}, "config.width = '16' is no int"),
         ({"width": 10**6}, "config.width = 1000000 does not exist for light"),
         ({"goal": 0}, "config.goal = 0 is no bool"),

@@ -59,6 +59,16 @@ def test_pushes_that_go_on_for_long_come_before_shorter_ones() -> None:
     assert short[0, 134, 110]
 
 
+def test_any_push_is_of_the_last_kind() -> None:
+    """Values that tell promising pushes from others need no kinds."""
+    goal = goal_at(slice(90, 130), slice(100, 120))
+    row = [(90, col, 40, 20, 0.05) for col in (79, 100, 121)]
+    for heightmap in (table_with(*row), table_with(*row, goal=goal)):
+        (every,) = pushable(heightmap, any_push=True)
+        np.testing.assert_array_equal(every, any_kind(heightmap))
+        assert every.any()
+
+
 def test_a_push_starts_beside_the_block_and_runs_into_it() -> None:
     mask = any_kind(table_with(BLOCK))
     up, left, down, right = 0, 4, 8, 12  # yaw 0, 90, 180, 270 degrees

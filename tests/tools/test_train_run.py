@@ -23,7 +23,7 @@ from tools.train.config import (
     Rollout,
     Stage,
     TrainConfig,
-    load_train_config,
+    load_experiment,
     overridden,
     stage_after,
 )
@@ -182,7 +182,8 @@ def test_a_round_asks_for_no_more_than_is_left() -> None:
 def test_the_paper_s_budget() -> None:
     """Section III-D: 4,000 steps, 1,000 for stages I and II and 2,000 for stage III."""
     for name in ("tdpg", "tdpg-goal"):
-        config = load_train_config(EXPERIMENTS / f"{name}.toml")
+        config = load_experiment(EXPERIMENTS / f"{name}.toml")
+        assert isinstance(config, TrainConfig)
         assert [(s.kind, s.actions) for s in config.stages] == [
             ("grasp", 1000),
             ("push", 1000),
@@ -202,11 +203,13 @@ def test_a_directory_belongs_to_one_experiment(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
 def test_the_shipped_experiments_are_valid(file: Path) -> None:
-    assert load_train_config(file).actions > 0
+    experiment = load_experiment(file)
+    asked = experiment.actions if isinstance(experiment, TrainConfig) else experiment.pushes
+    assert asked > 0
 
 
 def test_a_wrong_experiment_names_the_field(tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text("[learning]\ndiscount = 2.0\n")
     with pytest.raises(ConfigError, match=r"learning.discount"):
-        load_train_config(file)
+        load_experiment(file)

@@ -10,6 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tools.train.config import PushCourse, TrainConfig
     from tools.train.curve import Progress as Round
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
@@ -32,7 +36,16 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--imagenet", type=Path, metavar="FILE", help="torchvision's densenet121 to begin with"
     )
-    p.add_argument("--actions", type=int, metavar="N", help="of each stage, not the experiment's")
+    p.add_argument(
+        "--pushes",
+        type=Path,
+        metavar="DIR",
+        help="where a course of pushes keeps what it played and taught, for other policies too "
+        "(default: --out)",
+    )
+    p.add_argument(
+        "--actions", type=int, metavar="N", help="of each stage, or pushes, not the experiment's"
+    )
     p.add_argument("--seed", type=int, metavar="N", help="instead of the experiment's")
     p.add_argument("--workers", type=int, metavar="N", help="processes that play")
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="of this run")
@@ -43,47 +56,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(argv)
 
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
 
     from policies.errors import PolicyError
     from tdpg_deploy.errors import TdpgError
-    from tools.train import trainer
-    from tools.train.config import load_train_config, overridden
+    from tools.train.config import PushCourse, load_experiment
 
     console = Console()
     try:
         file = args.experiment or EXPERIMENTS / f"{args.stage or 'tdpg'}.toml"
-        config = overridden(
-            load_train_config(file),
-            actions=args.actions,
-            seed=args.seed,
-            workers=args.workers,
-            start=args.start,
-            imagenet=args.imagenet,
-        )
-        with Progress(
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.description}"),
-            TimeRemainingColumn(),
-            console=console,
-        ) as bar:
-            task = bar.add_task("first round", total=config.actions)
-            judged = None
-
-            def show(done: Round) -> None:
-                nonlocal judged
-                judged = done.validation or judged
-                line = _line(replace(done, validation=judged))
-                bar.update(task, completed=done.actions, description=line)
-
-            policy = trainer.train(config, args.out, on_progress=show)
+        experiment = load_experiment(file)
+        if isinstance(experiment, PushCourse):
+            policy = _teach(experiment, args, console)
+        else:
+            policy = _train(experiment, args, console)
     except (TdpgError, PolicyError) as error:
         console.print(str(error), style="red", markup=False)
         return 2
@@ -94,6 +79,71 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     console.print(f"policy: {policy}")
     return 0
+
+
+def _train(config: TrainConfig, args: argparse.Namespace, console: Console) -> Path:
+    from tdpg_deploy.errors import ConfigError
+    from tools.train import trainer
+    from tools.train.config import overridden
+
+    if args.pushes is not None:
+        raise ConfigError("--pushes: this experiment is no course of pushes")
+    config = overridden(
+        config,
+        actions=args.actions,
+        seed=args.seed,
+        workers=args.workers,
+        start=args.start,
+        imagenet=args.imagenet,
+    )
+    with _bar(console) as bar:
+        task = bar.add_task("first round", total=config.actions)
+        judged = None
+
+        def show(done: Round) -> None:
+            nonlocal judged
+            judged = done.validation or judged
+            line = _line(replace(done, validation=judged))
+            bar.update(task, completed=done.actions, description=line)
+
+        return trainer.train(config, args.out, on_progress=show)
+
+
+def _teach(course: PushCourse, args: argparse.Namespace, console: Console) -> Path:
+    from tdpg_deploy.errors import ConfigError
+    from tools.train.config import overridden_course
+    from tools.train.pushes.course import teach_pushes
+
+    if args.imagenet is not None:
+        raise ConfigError("--imagenet: a course of pushes has no DenseNet-121")
+    course = overridden_course(
+        course, pushes=args.actions, seed=args.seed, workers=args.workers, start=args.start
+    )
+    with _bar(console) as bar:
+        task = bar.add_task("pushes played", total=course.pushes)
+
+        def show(what: str, done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        return teach_pushes(course, args.out, args.pushes or args.out, on_progress=show)
+
+
+def _bar(console: Console) -> Progress:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.description}"),
+        TimeRemainingColumn(),
+        console=console,
+    )
 
 
 def _line(done: Round) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -161,12 +161,49 @@ class TrainConfig(_Section):
         return sum(stage.actions for stage in self.stages)
 
 
-def load_train_config(path: Path) -> TrainConfig:
-    """Read an experiment's TOML file. Raises ConfigError that names field and value."""
+class PushCourse(_Section):
+    """A PushNet of its own for a policy that grasps, `start`: so many pushes are played, then it
+    learns from them in so many updates."""
+
+    course: Literal["pushes"]
+    seed: int = 0
+    start: Path | None = None
+    workers: int = Field(2, ge=1, le=64)
+    pushes: int = Field(ge=2000)
+    randomization: Randomization = Randomization()
+    updates: int = Field(ge=1)
+    batch: int = Field(64, ge=1)
+    learning_rate: float = Field(1e-3, gt=0)
+    weight_decay: float = Field(1e-3, ge=0)
+
+
+def load_experiment(path: Path) -> TrainConfig | PushCourse:
+    """Read an experiment's TOML file, of either kind. Raises ConfigError that names field and
+    value."""
     try:
-        return TrainConfig.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+        kind = PushCourse if "course" in fields else TrainConfig
+        return kind.model_validate(fields)
     except (OSError, tomllib.TOMLDecodeError, ValidationError) as error:
         raise ConfigError(f"{path}: {error}") from error
+
+
+def overridden_course(
+    course: PushCourse,
+    *,
+    pushes: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    start: Path | None = None,
+) -> PushCourse:
+    """The same course but for what is not None. Raises ConfigError."""
+    given = {
+        "pushes": pushes,
+        "seed": seed,
+        "workers": workers,
+        "start": None if start is None else start.absolute(),
+    }
+    return _validated(PushCourse, course.model_dump() | _not_none(given))
 
 
 def overridden(
@@ -184,16 +221,26 @@ def overridden(
     if actions is not None:
         for stage in data["stages"]:
             stage["actions"] = actions
-    if seed is not None:
-        data["seed"] = seed
     if workers is not None:
         data["rollout"]["workers"] = workers
-    if start is not None:
-        data["start"] = start.absolute()
-    if imagenet is not None:
-        data["imagenet"] = imagenet.absolute()
+    given = {
+        "seed": seed,
+        "start": None if start is None else start.absolute(),
+        "imagenet": None if imagenet is None else imagenet.absolute(),
+    }
+    return _validated(TrainConfig, data | _not_none(given))
+
+
+def _not_none(given: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in given.items() if value is not None}
+
+
+_Experiment = TypeVar("_Experiment", bound=_Section)
+
+
+def _validated(kind: type[_Experiment], fields: dict[str, Any]) -> _Experiment:
     try:
-        return TrainConfig.model_validate(data)
+        return kind.model_validate(fields)
     except ValidationError as error:
         raise ConfigError(str(error)) from error
 

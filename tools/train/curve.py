@@ -44,6 +44,37 @@ class Progress:
     validation: Validation | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Freed:
+    """What pushes from one look freed, 0 to 1, as a mean over looks: the one that is valued most,
+    any of them, and the best of them."""
+
+    chosen: float
+    any: float
+    best: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushValidation:
+    """By pushes of tables held out. loss: binary cross-entropy. goal: how often one object came
+    free; all: which share of a table needs no other push. None: of nothing."""
+
+    loss: float
+    goal: Freed | None
+    all: Freed | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushProgress:
+    """What an epoch of a course of pushes brought. actions: updates so far."""
+
+    round: int
+    actions: int
+    learning_rate: float
+    loss: float
+    validation: PushValidation
+
+
 class Curve:
     """Appends to the curve in a run's directory; what lies after `round` is of a round that was
     killed before it was saved, and is dropped."""
@@ -66,7 +97,7 @@ class Curve:
     ) -> None:
         self._events.close()
 
-    def add(self, progress: Progress) -> None:
+    def add(self, progress: Progress | PushProgress) -> None:
         line = dataclasses.asdict(progress)
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")

@@ -65,7 +65,8 @@ def export(run: Path, out: Path, *, method: str | None = None, note: str = "") -
     lines = [line for line in read_curve(run) if line["actions"] <= frozen.provenance["actions"]]
     validated = [line for line in lines if line["validation"]]
     provenance = dict(frozen.provenance)
-    provenance["validation"] = validated[-1]["validation"] if validated else None
+    if validated:
+        provenance["validation"] = validated[-1]["validation"]
     provenance["note"] = note
     out.parent.mkdir(parents=True, exist_ok=True)
     sha256 = save_checkpoint(out, frozen.network(), config, provenance)
@@ -82,8 +83,7 @@ def card_of(
     start = provenance.get("start")
     actions = provenance["actions"] + (start["actions"] if start else 0)
     budget = "within" if actions <= PAPER_BUDGET else "beyond"
-    validation = provenance["validation"] or {}
-    figures = [f"{figure}: {value:.3f}" for figure, value in validation.items()]
+    figures = _figures(provenance.get("validation") or {})
     task = "fetches one object, whose pixels it is told" if config["goal"] else "clears the table"
     sections = [
         f"# {name}",
@@ -101,12 +101,23 @@ def card_of(
         f"Made by tdpg-train of commit `{provenance.get('commit') or 'unknown'}` with the "
         "experiment below.",
         "## Figures while training",
-        "Greedy episodes on validation tables; see docs/results.md for the test.\n\n"
+        "On validation tables; see docs/results.md for the test.\n\n"
         + "\n".join(f"- {line}" for line in figures or ["none were taken"]),
         "## Experiment",
         f"```json\n{json.dumps(experiment, indent=2)}\n```",
     ]
     return "\n\n".join(section for section in sections if section) + "\n"
+
+
+def _figures(validation: Mapping[str, Any], of: str = "") -> list[str]:
+    """A line for each figure, those of a part under its name."""
+    lines = []
+    for name, value in validation.items():
+        if isinstance(value, Mapping):
+            lines += _figures(value, f"{of}{name}, ")
+        elif value is not None:
+            lines.append(f"{of}{name}: {value:.3f}")
+    return lines
 
 
 if __name__ == "__main__":

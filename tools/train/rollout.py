@@ -20,7 +20,7 @@ from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode import run_episode
 from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.sim.bodies import SHAPES
-from tdpg_deploy.sim.random_shapes import random_shape
+from tdpg_deploy.sim.random_shapes import odd_shapes
 from tdpg_deploy.sim.scenes import MAX_PACKED, Scene, packed_scene, random_scene
 from tdpg_deploy.workspace import workspace_of
 from tools.goals import detector_of, in_sight
@@ -28,8 +28,6 @@ from tools.train.config import PushReward, Randomization, Stage
 from tools.train.explore import Exploring
 from tools.train.notebook import Experience, Notebook
 from tools.train.randomize import randomized
-
-ODD_KINDS = 9  # of stones and stumps on one table: as many as there are blocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +72,7 @@ def play(task: RolloutTask) -> Experience:
 def _scene(stage: Stage, workspace: Workspace, rng: np.random.Generator) -> Scene:
     shapes = SHAPES
     if rng.random() < stage.odd:
-        shapes = {str(number): random_shape(rng) for number in range(ODD_KINDS)}
+        shapes = odd_shapes(rng)
     if rng.random() < stage.packed:
         return packed_scene(int(rng.integers(2, MAX_PACKED + 1)), workspace, rng, shapes)
     count = int(rng.integers(stage.min_objects, stage.max_objects + 1))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
+from policies.checkpoint import Checkpoint, PolicyConfig, load_checkpoint, save_checkpoint
 from policies.methods import METHODS
 from policies.networks.build import ENTRANCES, build
 from policies.networks.maps import Network
@@ -249,8 +249,13 @@ def _begin_with(path: Path, policy: PolicyConfig) -> tuple[dict[str, torch.Tenso
     if policy.goal and not start.config.goal:
         for name in ENTRANCES[policy.network]:
             weights[name] = F.pad(weights[name], (0, 0, 0, 0, 0, 1))
+    return weights, started_with(start)
+
+
+def started_with(start: Checkpoint) -> dict[str, Any]:
+    """For the provenance: whose weights a run began with, and what those had learnt from."""
     earlier = start.provenance.get("start") or {"actions": 0}
-    return weights, {
+    return {
         "sha256": start.sha256,
         "actions": start.provenance.get("actions", 0) + earlier["actions"],
     }

@@ -6,7 +6,6 @@ state saved after the round before, so a run that was killed goes on as if it ha
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +13,8 @@ from pathlib import Path
 import torch
 
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
-from tdpg_deploy.errors import ConfigError
 from tools.pool import process_pool
+from tools.train.claim import claim
 from tools.train.config import TrainConfig
 from tools.train.curve import Curve, Progress
 from tools.train.judge import judge, summed_up
@@ -28,8 +27,7 @@ def train(config: TrainConfig, directory: Path, *, on_progress: Callable[[Progre
 
     Raises ConfigError when the directory belongs to another experiment.
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    _claim(directory, config)
+    claim(directory, config.model_dump(mode="json"))
     run = Run(config, directory)
     cell = training_cell()
     torch.set_num_threads(1)  # the other cores play
@@ -72,15 +70,3 @@ def training_cell() -> CellConfig:
             "limits": cell.limits.model_copy(update=hurry),
         }
     )
-
-
-def _claim(directory: Path, config: TrainConfig) -> None:
-    file = directory / "experiment.json"
-    mine = config.model_dump_json(indent=2)
-    if not file.exists():
-        file.write_text(mine, encoding="utf-8")
-    elif json.loads(file.read_text(encoding="utf-8")) != json.loads(mine):
-        raise ConfigError(
-            f"{directory} holds another experiment (see {file}): give another --out, "
-            "or the configuration that it was started with"
-        )

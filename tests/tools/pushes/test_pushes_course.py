@@ -1,0 +1,133 @@
+"""A course of pushes on the real simulator, at the smallest size that has all of its parts."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
+from policies.networks.light import LightNet
+from policies.networks.two_towers import TwoTowerNet
+from tdpg_deploy.errors import ConfigError
+from tools.train.config import PushCourse, Randomization
+from tools.train.curve import read_curve
+from tools.train.pushes import course as courses
+from tools.train.pushes.course import teach_pushes
+from tools.train.pushes.play import PushRecord, PushTask, play_pushes
+from tools.train.trainer import training_cell
+
+
+@pytest.fixture
+def grasps(tmp_path: Path) -> Path:
+    """A policy that grasps, on fresh weights."""
+    torch.manual_seed(0)
+    path = tmp_path / "grasps.safetensors"
+    config = PolicyConfig(network="light", width=4, goal=True, method="tdpg-free")
+    save_checkpoint(path, LightNet(goal=True, width=4), config, {"actions": 5})
+    return path
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(courses, "RECORD", 6)
+    monkeypatch.setattr(courses, "HELD_OUT", 2)
+    monkeypatch.setattr(courses, "EPOCH", 2)
+
+
+def course_from(grasps: Path | None) -> PushCourse:
+    course = PushCourse(course="pushes", seed=1, pushes=2000, updates=4, batch=2, start=grasps)
+    return course.model_copy(update={"pushes": 24})
+
+
+@pytest.mark.slow
+def test_a_course_that_was_killed_ends_like_one_that_was_not(
+    small: None, grasps: Path, tmp_path: Path
+) -> None:
+    course, told = course_from(grasps), []
+
+    def tell(*progress: object) -> None:
+        told.append(progress)
+
+    straight = tmp_path / "straight"
+    path = teach_pushes(course, straight, straight, on_progress=tell)
+    assert told == [
+        ("pushes played", 6, 24),
+        ("pushes played", 12, 24),
+        ("pushes played", 18, 24),
+        ("pushes played", 24, 24),
+        ("updates", 2, 4),
+        ("updates", 4, 4),
+    ]
+
+    def killed(what: str, done: int, _total: int) -> None:
+        if (what, done) == ("updates", 2):
+            raise KeyboardInterrupt
+
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    for record in straight.glob("*.npz"):
+        (broken / record.name).write_bytes(record.read_bytes())
+    with pytest.raises(KeyboardInterrupt):
+        teach_pushes(course, broken, broken, on_progress=killed)
+    resumed = teach_pushes(course, broken, broken, on_progress=tell)
+    assert read_curve(broken) == read_curve(straight)
+    expected, actual = load_checkpoint(path), load_checkpoint(resumed)
+    for name, weight in expected.weights.items():
+        torch.testing.assert_close(actual.weights[name], weight, rtol=0, atol=0)
+
+    frozen, start = expected, load_checkpoint(grasps)
+    assert (frozen.config.network, frozen.config.method) == ("twin", "tdpg-free")
+    for name, weight in start.weights.items():
+        assert torch.equal(frozen.weights[f"light.{name}"], weight)
+    assert frozen.provenance["start"] == {"sha256": start.sha256, "actions": 5}
+    assert set(frozen.provenance["validation"]) == {"loss", "goal", "all"}
+
+    other = tmp_path / "other"  # what was taught is not taught again
+    shared = teach_pushes(course, other, straight, on_progress=tell)
+    assert load_checkpoint(shared).sha256 == frozen.sha256
+
+
+@pytest.mark.slow
+def test_the_same_task_gives_the_same_record(tmp_path: Path) -> None:
+    task = PushTask(
+        cell=training_cell(),
+        randomization=Randomization(),
+        seed=(3, 1),
+        pushes=4,
+        file=tmp_path / "one.npz",
+    )
+    record = PushRecord.load(play_pushes(task))
+    again = PushRecord.load(play_pushes(dataclasses.replace(task, file=tmp_path / "two.npz")))
+    for field in dataclasses.fields(PushRecord):
+        np.testing.assert_array_equal(getattr(record, field.name), getattr(again, field.name))
+    assert len(record.pushes) >= 4
+    assert record.pushes[:, 0].max() == len(record.heights) - 1
+    for push, look in enumerate(record.pushes[:, 0]):
+        there = np.arange(30) < record.objects[look]
+        assert not (record.on_table_after[push] & ~there).any()
+        assert not (record.free_after[push] & ~there).any()
+        assert not (record.taken_after[push] & ~record.on_table_after[push]).any()
+        assert record.stuck[look] or not record.taken_after[push].any()
+    before = (tmp_path / "one.npz").stat().st_mtime_ns
+    play_pushes(task)  # is there already
+    assert (tmp_path / "one.npz").stat().st_mtime_ns == before
+
+
+def test_a_course_begins_with_a_light_network(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="give --from"):
+        teach_pushes(course_from(None), tmp_path, tmp_path, on_progress=print)
+    dense = tmp_path / "dense.safetensors"
+    config = PolicyConfig(network="densenet121", width=32, goal=False, method="tdpg")
+    save_checkpoint(dense, TwoTowerNet(goal=False), config, {})
+    with pytest.raises(ConfigError, match="begin with a light or a twin one"):
+        teach_pushes(course_from(dense), tmp_path, tmp_path, on_progress=print)
+
+
+def test_a_directory_belongs_to_one_course(grasps: Path, tmp_path: Path) -> None:
+    (tmp_path / "experiment.json").write_text('{"course": "other"}')
+    with pytest.raises(ConfigError, match="another experiment"):
+        teach_pushes(course_from(grasps), tmp_path, tmp_path, on_progress=print)
