@@ -21,7 +21,11 @@ from policies.rotation import back_to_map, pictures
 from policies.state import encode
 from tools.benchmark.measure import Measurement, timed
 
-NETWORKS = {"light": (16, 20), "densenet121": (WIDTHS["densenet121"][0], 3)}  # width, repeats
+NETWORKS = {  # width, repeats
+    "light": (16, 20),
+    "twin": (16, 20),
+    "densenet121": (WIDTHS["densenet121"][0], 3),
+}
 
 
 def run() -> list[Measurement]:
