@@ -12,6 +12,8 @@ from policies.heightmap import SIZE, Heightmap
 HEIGHT_SCALE = 20.0  # a 50 mm block is 1
 HEIGHT_LIMIT = 0.5  # m; what stands higher, or lies lower, is shown so high or low
 
+_SHADES = np.arange(256, dtype=np.float32) / np.float32(255) - np.float32(0.5)
+
 INSIDE, SEEN, HEIGHT, RED, GREEN, BLUE, GOAL = range(7)
 
 
@@ -49,8 +51,7 @@ def stacked(
     state[..., SEEN, :, :] = seen
     state[..., HEIGHT, :, :] = low_to_high * np.float32(HEIGHT_SCALE)
     for channel in range(3):
-        shade = color[..., channel] / np.float32(255) - np.float32(0.5)
-        state[..., RED + channel, :, :] = shade * seen
+        state[..., RED + channel, :, :] = _SHADES[color[..., channel]] * seen
     if goal is not None:
         state[..., GOAL, :, :] = goal
     return state

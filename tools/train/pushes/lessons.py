@@ -24,6 +24,8 @@ BESIDE = 0.06  # m to both sides of a push, and beyond its end, within which it 
 ALL = -1  # in place of a goal: all that stands on the table
 OUTSIDE = -2  # owner of what lies outside of the workspace
 
+_METRES = unpack_height(np.arange(int(UNSEEN) + 1, dtype=np.uint16))  # of every packed height
+
 Array = npt.NDArray[np.float32]
 
 
@@ -65,8 +67,10 @@ class Lessons:
                 picture[mirrored] = picture[mirrored][:, :, ::-1]
             places[mirrored, 0] *= -1
             channels = rng.permuted(np.tile(np.arange(3), (len(picks), 1)), axis=1)
-            color = np.take_along_axis(color, channels[:, None, None, :], axis=3)
-        metres = unpack_height(height)
+            color = np.stack(
+                [each[..., order] for each, order in zip(color, channels, strict=True)]
+            )
+        metres = _METRES[height]
         with np.errstate(invalid="ignore"):
             goal = np.where(goals == ALL, metres > RISE, owner == goals)
         patches = stacked(owner != OUTSIDE, metres, color, goal)
