@@ -28,9 +28,9 @@ def critic_one(
         grasp = back_to_map(maps.grasp.float())[:, 0].numpy()
         push = np.full((ROTATIONS, *grasp.shape[1:]), -np.inf, np.float32)
     else:
-        both = back_to_map(torch.cat((maps.push, maps.grasp), 1).float())
-        push = both[:, 0].numpy()
-        grasp = both[:, 1].view(2, HALF_TURN, *both.shape[2:]).mean(0).numpy()
+        push, both = (back_to_map(each.float())[:, 0] for each in (maps.push, maps.grasp))
+        push = push.numpy()
+        grasp = both.view(2, HALF_TURN, *both.shape[1:]).mean(0).numpy()
     return QMaps(push=push, grasp=np.concatenate((grasp, grasp))), maps.features
 
 
