@@ -28,8 +28,8 @@ def critic_one(
         grasp = back_to_map(maps.grasp.float())[:, 0].numpy()
         push = np.full((ROTATIONS, *grasp.shape[1:]), -np.inf, np.float32)
     else:
-        push, both = (back_to_map(each.float())[:, 0] for each in (maps.push, maps.grasp))
-        push = push.numpy()
+        push = back_to_map(maps.push.float())[:, 0].numpy()
+        both = back_to_map(maps.grasp.float())[:, 0]
         grasp = both.view(2, HALF_TURN, *both.shape[1:]).mean(0).numpy()
     return QMaps(push=push, grasp=np.concatenate((grasp, grasp))), maps.features
 

@@ -43,17 +43,15 @@ class TwinNet(Network):
         """(n, 6 or 7, h, w), h and w multiples of 8 -> values at stride 4 of pushes, 2 of grasps.
         A push is worth the share of what is asked for that it frees: 0 to 1."""
         aimed = picture if self._goal else torch.cat((picture, all_that_rises(picture)), 1)
-        at_middle = torch.sigmoid(self.push_net(aimed))
-        at_start = F.pad(at_middle, (0, 0, _CELLS, 0))[:, :, :-_CELLS]  # the way leads upwards
         maps = self.light(picture)
-        return Maps(push=at_start, grasp=maps.grasp, features=maps.features)
+        return Maps(push=self.push_net.values(aimed), grasp=maps.grasp, features=maps.features)
 
     def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         return self.light.evaluate(features, places)
 
 
 def all_that_rises(picture: torch.Tensor) -> torch.Tensor:
-    """(n, 6, h, w) -> (n, 1, h, w): what stands above the table, as a goal's channel."""
+    """(n, 6, h, w) -> (n, 1, h, w): what stands above the table, as a goal's channel has it."""
     height = picture[:, state.HEIGHT : state.HEIGHT + 1]
     return (height > RISE * state.HEIGHT_SCALE).to(picture.dtype)
 
@@ -95,6 +93,11 @@ class PushNet(nn.Module):
         x4 = F.relu_(F.interpolate(self.up4(x8), scale_factor=2.0).add_(x4))
         logits: torch.Tensor = self.value(relu_inside(self.fuse4(x4), inside4))
         return logits
+
+    def values(self, picture: torch.Tensor) -> torch.Tensor:
+        """(n, 1, h / 4, w / 4) shares that are freed, 0 to 1, each at the push's start."""
+        at_middle = torch.sigmoid(self(picture))
+        return F.pad(at_middle, (0, 0, _CELLS, 0))[:, :, :-_CELLS]  # the way leads upwards
 
     def at(self, patches: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         """What `forward` says of one push a patch (n, 7, PATCH, PATCH), for half of the work: each

@@ -161,20 +161,35 @@ class TrainConfig(_Section):
         return sum(stage.actions for stage in self.stages)
 
 
+class PushRound(_Section):
+    """So many pushes are played, then PushNet learns from these and all before in so many updates.
+    In the first round any allowed push is made, in others what PushNet values most by then."""
+
+    pushes: int = Field(ge=1)
+    updates: int = Field(ge=1)
+    learning_rate: float = Field(1e-3, gt=0)
+
+
 class PushCourse(_Section):
-    """A PushNet of its own for a policy that grasps, `start`: so many pushes are played, then it
-    learns from them in so many updates."""
+    """A PushNet of its own for a policy that grasps, `start`."""
 
     course: Literal["pushes"]
     seed: int = 0
     start: Path | None = None
     workers: int = Field(2, ge=1, le=64)
-    pushes: int = Field(ge=2000)
+    rounds: tuple[PushRound, ...] = Field(min_length=1)
     randomization: Randomization = Randomization()
-    updates: int = Field(ge=1)
     batch: int = Field(64, ge=1)
-    learning_rate: float = Field(1e-3, gt=0)
     weight_decay: float = Field(1e-3, ge=0)
+
+    @property
+    def pushes(self) -> int:
+        """Of the whole course."""
+        return sum(each.pushes for each in self.rounds)
+
+    @property
+    def updates(self) -> int:
+        return sum(each.updates for each in self.rounds)
 
 
 def load_experiment(path: Path) -> TrainConfig | PushCourse:
@@ -196,14 +211,18 @@ def overridden_course(
     workers: int | None = None,
     start: Path | None = None,
 ) -> PushCourse:
-    """The same course but for what is not None. Raises ConfigError."""
+    """The same course but for what is not None; pushes are those of each round. Raises
+    ConfigError."""
+    data = course.model_dump()
+    if pushes is not None:
+        for each in data["rounds"]:
+            each["pushes"] = pushes
     given = {
-        "pushes": pushes,
         "seed": seed,
         "workers": workers,
         "start": None if start is None else start.absolute(),
     }
-    return _validated(PushCourse, course.model_dump() | _not_none(given))
+    return _validated(PushCourse, data | _not_none(given))
 
 
 def overridden(

@@ -11,9 +11,10 @@ import torch
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.networks.light import LightNet
+from policies.networks.twin import PushNet
 from policies.networks.two_towers import TwoTowerNet
 from tdpg_deploy.errors import ConfigError
-from tools.train.config import PushCourse, Randomization
+from tools.train.config import PushCourse, PushRound, Randomization
 from tools.train.curve import read_curve
 from tools.train.pushes import course as courses
 from tools.train.pushes.course import teach_pushes
@@ -39,8 +40,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def course_from(grasps: Path | None) -> PushCourse:
-    course = PushCourse(course="pushes", seed=1, pushes=2000, updates=4, batch=2, start=grasps)
-    return course.model_copy(update={"pushes": 24})
+    rounds = (PushRound(pushes=18, updates=4), PushRound(pushes=12, updates=2))
+    return PushCourse(course="pushes", seed=1, rounds=rounds, batch=2, start=grasps)
 
 
 @pytest.mark.slow
@@ -55,12 +56,14 @@ def test_a_course_that_was_killed_ends_like_one_that_was_not(
     straight = tmp_path / "straight"
     path = teach_pushes(course, straight, straight, on_progress=tell)
     assert told == [
-        ("pushes played", 6, 24),
-        ("pushes played", 12, 24),
-        ("pushes played", 18, 24),
-        ("pushes played", 24, 24),
-        ("updates", 2, 4),
-        ("updates", 4, 4),
+        ("pushes played", 6, 30),
+        ("pushes played", 12, 30),
+        ("pushes played", 18, 30),
+        ("updates", 2, 6),
+        ("updates", 4, 6),
+        ("pushes played", 24, 30),
+        ("pushes played", 30, 30),
+        ("updates", 6, 6),
     ]
 
     def killed(what: str, done: int, _total: int) -> None:
@@ -69,12 +72,14 @@ def test_a_course_that_was_killed_ends_like_one_that_was_not(
 
     broken = tmp_path / "broken"
     broken.mkdir()
-    for record in straight.glob("*.npz"):
+    for record in straight.glob("000[012].npz"):
         (broken / record.name).write_bytes(record.read_bytes())
     with pytest.raises(KeyboardInterrupt):
         teach_pushes(course, broken, broken, on_progress=killed)
     resumed = teach_pushes(course, broken, broken, on_progress=tell)
     assert read_curve(broken) == read_curve(straight)
+    for record in straight.glob("*.npz"):
+        assert (broken / record.name).read_bytes() == record.read_bytes()
     expected, actual = load_checkpoint(path), load_checkpoint(resumed)
     for name, weight in expected.weights.items():
         torch.testing.assert_close(actual.weights[name], weight, rtol=0, atol=0)
@@ -115,6 +120,23 @@ def test_the_same_task_gives_the_same_record(tmp_path: Path) -> None:
     before = (tmp_path / "one.npz").stat().st_mtime_ns
     play_pushes(task)  # is there already
     assert (tmp_path / "one.npz").stat().st_mtime_ns == before
+
+
+@pytest.mark.slow
+def test_a_push_net_chooses_its_best_pushes(tmp_path: Path) -> None:
+    """One on fresh weights: where all are worth the same it still takes three that are apart."""
+    torch.manual_seed(0)
+    torch.save(PushNet().state_dict(), tmp_path / "net.pt")
+    task = PushTask(
+        cell=training_cell(),
+        randomization=Randomization(),
+        seed=(3, 2),
+        pushes=3,
+        file=tmp_path / "one.npz",
+        chooser=tmp_path / "net.pt",
+    )
+    record = PushRecord.load(play_pushes(task))
+    assert len(np.unique(record.pushes, axis=0)) == len(record.pushes)
 
 
 def test_a_course_begins_with_a_light_network(tmp_path: Path) -> None:

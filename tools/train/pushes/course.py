@@ -17,12 +17,12 @@ import numpy.typing as npt
 import torch
 
 from policies.checkpoint import Checkpoint, PolicyConfig, load_checkpoint, save_checkpoint
-from policies.networks.twin import PushNet, TwinNet
+from policies.networks.twin import TwinNet
 from tdpg_deploy.episode_log import software
 from tdpg_deploy.errors import ConfigError
 from tools.pool import process_pool
 from tools.train.claim import claim
-from tools.train.config import PushCourse
+from tools.train.config import PushCourse, PushRound
 from tools.train.curve import Curve, Freed, PushProgress, PushValidation, read_curve
 from tools.train.pushes.lessons import ALL, Lessons, lessons_of
 from tools.train.pushes.play import PushRecord, PushTask, play_pushes
@@ -56,48 +56,58 @@ def teach_pushes(
     start = load_checkpoint(course.start)
     network = _beside(course.start, start)
     claim(directory, course.model_dump(mode="json", exclude={"start", "workers"}))
-    played = []
-    for record in _play(course, directory):
-        played.append(record)
-        on_progress("pushes played", RECORD * len(played), course.pushes)
-    _teach(course, directory, network.push_net, played, on_progress)
+    teacher = Teacher(network.push_net, weight_decay=course.weight_decay)
+    epoch = _restore(directory, teacher)
+    played: list[Path] = []
+    ends = 0  # epochs, at the end of a round
+    for number, each in enumerate(course.rounds):
+        chooser = directory / f"push_net-{number}.pt" if number else None
+        if chooser is not None and not chooser.exists():
+            _save_whole(teacher.network.state_dict(), chooser)
+        for record in _play(course, each, len(played), chooser, directory):
+            played.append(record)
+            on_progress("pushes played", RECORD * len(played), course.pushes)
+        begins, ends = ends, ends + math.ceil(each.updates / EPOCH)
+        if epoch < ends:
+            _teach(course, each, range(epoch, ends), begins, teacher, played, on_progress)
+            epoch = ends
     return _freeze(course, directory, out, network, start)
 
 
 def _teach(
     course: PushCourse,
-    directory: Path,
-    network: PushNet,
+    each: PushRound,
+    epochs: range,
+    begins: int,
+    teacher: Teacher,
     played: Sequence[Path],
     on_progress: Callable[[str, int, int], None],
 ) -> None:
-    teacher = Teacher(network, weight_decay=course.weight_decay)
-    epoch = _restore(directory, teacher)
-    if epoch * EPOCH >= course.updates:
-        return
+    """What is left of a round, whose first epoch is `begins`."""
+    directory = played[0].parent
     lessons, held_out = _split([PushRecord.load(path) for path in played])
-    with Curve(directory, round=epoch) as curve:
-        while epoch * EPOCH < course.updates:
+    with Curve(directory, round=epochs.start) as curve:
+        for epoch in epochs:
             rng = np.random.default_rng((course.seed, epoch))
-            updates = range(epoch * EPOCH, (epoch + 1) * EPOCH)
+            updates = range((epoch - begins) * EPOCH, (epoch - begins + 1) * EPOCH)
             losses = [
                 teacher.update(
-                    lessons, rng, batch=course.batch, learning_rate=_learning_rate(course, update)
+                    lessons, rng, batch=course.batch, learning_rate=_learning_rate(each, update)
                 )
                 for update in updates
             ]
-            epoch += 1
+            done = (epoch + 1) * EPOCH
             curve.add(
                 PushProgress(
-                    round=epoch,
-                    actions=updates.stop,
-                    learning_rate=_learning_rate(course, updates.stop),
+                    round=epoch + 1,
+                    actions=done,
+                    learning_rate=_learning_rate(each, updates.stop),
                     loss=float(np.mean(losses)),
                     validation=judged(held_out, teacher),
                 )
             )
-            _save(directory, teacher, epoch)
-            on_progress("updates", updates.stop, course.updates)
+            _save(directory, teacher, epoch + 1)
+            on_progress("updates", done, course.updates)
 
 
 def judged(held_out: Lessons, teacher: Teacher) -> PushValidation:
@@ -127,7 +137,10 @@ def _freed(lessons: Lessons, logits: Logits, which: npt.NDArray[np.bool_]) -> Fr
     return Freed(chosen=float(chosen), any=float(every), best=float(best))
 
 
-def _play(course: PushCourse, records: Path) -> Iterator[Path]:
+def _play(
+    course: PushCourse, each: PushRound, first: int, chooser: Path | None, directory: Path
+) -> Iterator[Path]:
+    """The records of a round, of which so many are there already."""
     cell = training_cell()
     tasks = [
         PushTask(
@@ -135,9 +148,10 @@ def _play(course: PushCourse, records: Path) -> Iterator[Path]:
             randomization=course.randomization,
             seed=(course.seed, number),
             pushes=RECORD,
-            file=records / f"{number:04d}.npz",
+            file=directory / f"{number:04d}.npz",
+            chooser=chooser,
         )
-        for number in range(math.ceil(course.pushes / RECORD))
+        for number in range(first, first + math.ceil(each.pushes / RECORD))
     ]
     with process_pool(course.workers) as pool:
         yield from pool.map(play_pushes, tasks)
@@ -170,10 +184,10 @@ def _beside(path: Path, start: Checkpoint) -> TwinNet:
     return network
 
 
-def _learning_rate(course: PushCourse, update: int) -> float:
-    """Rises over WARM_UP updates, then falls along a half cosine."""
-    cosine = (1 + math.cos(math.pi * update / course.updates)) / 2
-    return course.learning_rate * min(1.0, (update + 1) / WARM_UP) * max(cosine, 0.01)
+def _learning_rate(each: PushRound, update: int) -> float:
+    """Rises over WARM_UP updates of a round, then falls along a half cosine."""
+    cosine = (1 + math.cos(math.pi * min(1.0, update / each.updates))) / 2
+    return each.learning_rate * min(1.0, (update + 1) / WARM_UP) * max(cosine, 0.01)
 
 
 def _restore(directory: Path, teacher: Teacher) -> int:
@@ -187,9 +201,14 @@ def _restore(directory: Path, teacher: Teacher) -> int:
 
 
 def _save(directory: Path, teacher: Teacher, epoch: int) -> None:
-    part = directory / (STATE + ".part")
-    torch.save({"teacher": teacher.state(), "epoch": epoch}, part)
-    os.replace(part, directory / STATE)
+    _save_whole({"teacher": teacher.state(), "epoch": epoch}, directory / STATE)
+
+
+def _save_whole(state: dict[str, Any], path: Path) -> None:
+    """Whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    torch.save(state, part)
+    os.replace(part, path)
 
 
 def _freeze(

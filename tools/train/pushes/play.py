@@ -6,17 +6,25 @@ A pure function of its task, in a process of its own: same task, same record.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
-from policies.decide import Choice, to_primitive
+from policies.decide import Choice, best, to_primitive
 from policies.heightmap import SIZE, Heightmap, Workspace
+from policies.learned import fastest_dtype
+from policies.masks import strike_out
+from policies.networks.twin import PushNet
 from policies.policy import ROTATIONS
 from policies.pushable import pushable
+from policies.rotation import back_to_map, pictures
+from policies.standing import Map, rising
+from policies.state import encode
 from tdpg_deploy.cell import Cell, open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.choosing import GOAL_PIXELS
@@ -36,6 +44,8 @@ from tools.train.pushes.free import Flags, Owners, free, look, on_table, taken_b
 from tools.train.randomize import randomized
 from tools.train.replay import pack_height
 
+Place: TypeAlias = tuple[int, int, int]  # rotation, row, column
+
 ODD, HEAPS, PACKS = 0.12, 0.12, 0.23  # shares of tables of stones, in heaps, in rows; else clusters
 HEAP = (3, 25)  # objects
 STUCK = (
@@ -49,13 +59,15 @@ GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 
 @dataclass(frozen=True, kw_only=True)
 class PushTask:
-    """Play until so many pushes were made; write the record to `file`."""
+    """Play until so many pushes were made; write the record to `file`. chooser: weights of a
+    PushNet, of whose best pushes each look's are made; None: any that are allowed."""
 
     cell: CellConfig
     randomization: Randomization
     seed: tuple[int, ...]
     pushes: int
     file: Path
+    chooser: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,13 +111,27 @@ class _Look:
     free: Flags
     stuck: bool
 
+    def aimed(self, rng: np.random.Generator) -> Heightmap | None:
+        """At all that stands there, or at an object that no grasp could take: its goal."""
+        if self.stuck and rng.random() >= FOR_A_GOAL:
+            return self.heightmap
+        objects = len(self.free)
+        shown = np.bincount(self.owners[self.owners >= 0], minlength=objects) >= GOAL_PIXELS
+        goals = np.flatnonzero(shown & ~self.free)
+        if not goals.size:
+            return None
+        return replace(self.heightmap, goal=self.owners == rng.choice(goals))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pushed:
-    place: tuple[int, int, int]
+    place: Place
     free: Flags
     on_table: Flags
     taken: Flags
+
+
+Choose: TypeAlias = Callable[[_Look, np.random.Generator], Place | None]
 
 
 def play_pushes(task: PushTask) -> Path:
@@ -115,13 +141,15 @@ def play_pushes(task: PushTask) -> Path:
     if task.file.exists():
         return task.file
     cv2.setNumThreads(1)  # one core a worker
+    torch.set_num_threads(1)
+    choose = any_of_a_kind if task.chooser is None else Chooser(task.chooser)
     rng = np.random.default_rng(task.seed)
     looks: list[_Look] = []
     pushes: list[tuple[int, _Pushed]] = []
     while len(pushes) < task.pushes:
         config = randomized(task.cell, task.randomization, rng)
         try:
-            seen, pushed = _try_table(config, rng)
+            seen, pushed = _try_table(config, choose, rng)
         except (SceneError, DeviceError):
             continue  # too much for the table, or an arm that is caught: another table
         if pushed:
@@ -142,7 +170,9 @@ def random_table(workspace: Workspace, rng: np.random.Generator) -> Scene:
     return clustered_scene(workspace, rng, shapes)
 
 
-def _try_table(config: CellConfig, rng: np.random.Generator) -> tuple[_Look, list[_Pushed]]:
+def _try_table(
+    config: CellConfig, choose: Choose, rng: np.random.Generator
+) -> tuple[_Look, list[_Pushed]]:
     """One look, and pushes that begin from it: each on a table of its own that is laid the same."""
     scene, stuck = _settled(config, rng)
     seen: _Look | None = None
@@ -153,7 +183,7 @@ def _try_table(config: CellConfig, rng: np.random.Generator) -> tuple[_Look, lis
                 heightmap, owners = look(cell)
                 now_free = free(heightmap, owners, len(scene.objects))
                 seen = _Look(heightmap=heightmap, owners=owners, free=now_free, stuck=stuck)
-            place = _any_push(seen, rng)
+            place = choose(seen, rng)
             if place is None:
                 break
             if _push(cell, seen.heightmap, place):
@@ -185,21 +215,49 @@ def _settled(config: CellConfig, rng: np.random.Generator) -> tuple[Scene, bool]
     ), stuck
 
 
-def _any_push(seen: _Look, rng: np.random.Generator) -> tuple[int, int, int] | None:
+def any_of_a_kind(seen: _Look, rng: np.random.Generator) -> Place | None:
     """One that is allowed: of all, or for the sake of an object that no grasp could take."""
-    if seen.stuck and rng.random() >= FOR_A_GOAL:
-        return _of_kinds(list(pushable(seen.heightmap)), KINDS, rng)
-    shown = np.bincount(seen.owners[seen.owners >= 0], minlength=len(seen.free)) >= GOAL_PIXELS
-    goals = np.flatnonzero(shown & ~seen.free)
-    if not goals.size:
+    aimed = seen.aimed(rng)
+    if aimed is None:
         return None
-    aimed = replace(seen.heightmap, goal=seen.owners == rng.choice(goals))
-    return _of_kinds(list(pushable(aimed)), GOAL_KINDS, rng)
+    shares = KINDS if aimed.goal is None else GOAL_KINDS
+    return _of_kinds(list(pushable(aimed)), shares, rng)
+
+
+class Chooser:
+    """A PushNet's best pushes of one look for one aim, one after the other, none near another."""
+
+    def __init__(self, weights: Path) -> None:
+        network = PushNet()
+        network.load_state_dict(torch.load(weights, weights_only=True))
+        self._network = network.eval().requires_grad_(False).to(fastest_dtype())
+        self._seen: _Look | None = None
+        self._left: Map | None = None
+
+    def __call__(self, seen: _Look, rng: np.random.Generator) -> Place | None:
+        if self._seen is not seen:
+            self._seen, aimed = seen, seen.aimed(rng)
+            self._left = None if aimed is None else self._values(aimed)
+        if self._left is None:
+            return None
+        push = best(self._left, "push", rng)
+        if push is None:
+            return None
+        strike_out(self._left, push.rotation, push.row, push.col)
+        return push.rotation, push.row, push.col
+
+    def _values(self, aimed: Heightmap) -> Map:
+        """(16, 224, 224), -inf where no push is allowed."""
+        (allowed,) = pushable(aimed, any_push=True)
+        goal = rising(aimed) if aimed.goal is None else aimed.goal
+        state = encode(replace(aimed, goal=goal), goal=True).to(fastest_dtype())
+        values = back_to_map(self._network.values(pictures(state)).float())[:, 0].numpy()
+        return np.where(allowed, values, np.float32(-np.inf))
 
 
 def _of_kinds(
     kinds: Sequence[npt.NDArray[np.bool_]], shares: Sequence[float], rng: np.random.Generator
-) -> tuple[int, int, int] | None:
+) -> Place | None:
     """Any push of a kind drawn by its share; of the least promising where it has none."""
     drawn = int(rng.choice(len(kinds), p=shares))
     for kind in (drawn, *reversed(range(len(kinds)))):
@@ -211,7 +269,7 @@ def _of_kinds(
     return None
 
 
-def _push(cell: Cell, seen: Heightmap, place: tuple[int, int, int]) -> bool:
+def _push(cell: Cell, seen: Heightmap, place: Place) -> bool:
     """Whether it was made: its plan passed, and nothing caught the arm."""
     rotation, row, col = place
     choice = Choice(kind="push", rotation=rotation, row=row, col=col, q=0.0)
