@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,12 +17,14 @@ from tdpg_deploy.sim.scenes import PALETTE, SPAWN_MARGIN, Scene, SceneObject
 CLUSTERS = (1, 1, 1, 2, 3)  # on one table, by equal chance
 ALONE = (2, 9)  # objects of a cluster that has the table to itself, at least and at most ...
 BESIDE_OTHERS = (2, 4)  # ... and of one that has not
+CROWD = (5, 9)  # of a compact one
 KINDS = (1, 3)  # of objects in one cluster
 STACKED = 0.12  # share that is put on top of another
 GAP = (0.0003, 0.002)  # m between neighbours; a finger is 18 mm thick
 ACROSS = 0.24  # m that a cluster measures at most, each way
 APART = 0.005  # m between clusters
 TRIES = 50
+CHOSEN_FROM = 8  # places for an object of a compact cluster
 _TOUCHING = 1e-4  # m by which boxes may overlap
 
 
@@ -40,17 +43,23 @@ class _Placed:
 
 
 def clustered_scene(
-    workspace: Workspace, rng: np.random.Generator, shapes: Mapping[str, Shape] = SHAPES
+    workspace: Workspace,
+    rng: np.random.Generator,
+    shapes: Mapping[str, Shape] = SHAPES,
+    *,
+    compact: bool = False,
 ) -> Scene:
     """One to three clusters somewhere on the table, each turned somehow. A cluster grows object by
     object: each is put beside one that stands there already, flush with it, in its middle or
-    anywhere along it; or on top of it."""
-    count = int(rng.choice(CLUSTERS))
+    anywhere along it; or on top of it. compact: one cluster of many, each put where that keeps it
+    small, so that what stands in the middle is hemmed in."""
+    count = 1 if compact else int(rng.choice(CLUSTERS))
+    size = CROWD if compact else ALONE if count == 1 else BESIDE_OTHERS
     taken: list[tuple[Array, float]] = []  # middles, and radii around them
     objects: list[SceneObject] = []
     first = int(rng.integers(len(PALETTE)))
     for _ in range(count):
-        cluster = _cluster(rng, shapes, ALONE if count == 1 else BESIDE_OTHERS)
+        cluster = _cluster(rng, shapes, size, CHOSEN_FROM if compact else 1)
         low = np.min([item.low for item in cluster], axis=0)[:2]
         high = np.max([item.high for item in cluster], axis=0)[:2]
         radius = float(np.hypot(*(high - low))) / 2
@@ -74,23 +83,39 @@ def clustered_scene(
 
 
 def _cluster(
-    rng: np.random.Generator, shapes: Mapping[str, Shape], size: tuple[int, int]
+    rng: np.random.Generator, shapes: Mapping[str, Shape], size: tuple[int, int], chosen_from: int
 ) -> list[_Placed]:
     names = rng.choice(sorted(shapes), rng.integers(KINDS[0], KINDS[1] + 1))
+    kinds = [shapes[name] for name in names]
     cluster: list[_Placed] = []
     for _ in range(int(rng.integers(size[0], size[1] + 1))):
-        for _ in range(TRIES):
-            shape = shapes[names[rng.integers(len(names))]]
-            turn = Rotation.from_euler("z", np.pi / 2 * rng.integers(2))
-            low = _beside_or_on(cluster, np.ptp(turn.apply(shape.vertices), axis=0), rng)
-            if low is None:
-                continue
-            high = low + np.ptp(turn.apply(shape.vertices), axis=0)
-            placed = _Placed(shape=shape, turn=turn, low=low, high=high)
-            if _fits(placed, cluster):
-                cluster.append(placed)
-                break
+        places = islice(_places(cluster, kinds, rng), chosen_from)
+        placed = min(places, key=lambda place: _volume((*cluster, place)), default=None)
+        if placed is not None:
+            cluster.append(placed)
     return cluster
+
+
+def _places(
+    cluster: Sequence[_Placed], kinds: Sequence[Shape], rng: np.random.Generator
+) -> Iterator[_Placed]:
+    """Where one more of these shapes fits, at random."""
+    for _ in range(TRIES):
+        shape = kinds[int(rng.integers(len(kinds)))]
+        turn = Rotation.from_euler("z", np.pi / 2 * rng.integers(2))
+        sides = np.ptp(turn.apply(shape.vertices), axis=0)
+        low = _beside_or_on(cluster, sides, rng)
+        if low is None:
+            continue
+        placed = _Placed(shape=shape, turn=turn, low=low, high=low + sides)
+        if _fits(placed, cluster):
+            yield placed
+
+
+def _volume(cluster: Sequence[_Placed]) -> float:
+    """m^3 of the box around it."""
+    lows, highs = ([getattr(item, end) for item in cluster] for end in ("low", "high"))
+    return float(np.prod(np.max(highs, axis=0) - np.min(lows, axis=0)))
 
 
 def _beside_or_on(

@@ -166,6 +166,7 @@ class PushRound(_Section):
     In the first round any allowed push is made, in others what PushNet values most by then."""
 
     pushes: int = Field(ge=1)
+    compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
     updates: int = Field(ge=1)
     learning_rate: float = Field(1e-3, gt=0)
 

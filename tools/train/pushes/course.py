@@ -150,6 +150,7 @@ def _play(
             pushes=RECORD,
             file=directory / f"{number:04d}.npz",
             chooser=chooser,
+            compact=each.compact,
         )
         for number in range(first, first + math.ceil(each.pushes / RECORD))
     ]

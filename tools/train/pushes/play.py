@@ -60,7 +60,8 @@ GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 @dataclass(frozen=True, kw_only=True)
 class PushTask:
     """Play until so many pushes were made; write the record to `file`. chooser: weights of a
-    PushNet, of whose best pushes each look's are made; None: any that are allowed."""
+    PushNet, of whose best pushes each look's are made; None: any that are allowed. compact: share
+    of the clusters that grow compact."""
 
     cell: CellConfig
     randomization: Randomization
@@ -68,6 +69,7 @@ class PushTask:
     pushes: int
     file: Path
     chooser: Path | None = None
+    compact: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,7 +151,7 @@ def play_pushes(task: PushTask) -> Path:
     while len(pushes) < task.pushes:
         config = randomized(task.cell, task.randomization, rng)
         try:
-            seen, pushed = _try_table(config, choose, rng)
+            seen, pushed = _try_table(config, choose, task.compact, rng)
         except (SceneError, DeviceError):
             continue  # too much for the table, or an arm that is caught: another table
         if pushed:
@@ -159,7 +161,7 @@ def play_pushes(task: PushTask) -> Path:
     return task.file
 
 
-def random_table(workspace: Workspace, rng: np.random.Generator) -> Scene:
+def random_table(workspace: Workspace, compact: float, rng: np.random.Generator) -> Scene:
     """Mostly clusters, where pushes matter. Raises SceneError."""
     shapes = odd_shapes(rng) if rng.random() < ODD else SHAPES
     kind = rng.random()
@@ -167,14 +169,15 @@ def random_table(workspace: Workspace, rng: np.random.Generator) -> Scene:
         return random_scene(int(rng.integers(HEAP[0], HEAP[1] + 1)), workspace, rng, shapes)
     if kind < HEAPS + PACKS:
         return packed_scene(int(rng.integers(2, MAX_PACKED + 1)), workspace, rng, shapes)
-    return clustered_scene(workspace, rng, shapes)
+    tight = compact > 0 and rng.random() < compact
+    return clustered_scene(workspace, rng, shapes, compact=tight)
 
 
 def _try_table(
-    config: CellConfig, choose: Choose, rng: np.random.Generator
+    config: CellConfig, choose: Choose, compact: float, rng: np.random.Generator
 ) -> tuple[_Look, list[_Pushed]]:
     """One look, and pushes that begin from it: each on a table of its own that is laid the same."""
-    scene, stuck = _settled(config, rng)
+    scene, stuck = _settled(config, compact, rng)
     seen: _Look | None = None
     pushed = []
     for _ in range(PUSHES_A_LOOK):
@@ -197,9 +200,9 @@ def _try_table(
     return seen, pushed
 
 
-def _settled(config: CellConfig, rng: np.random.Generator) -> tuple[Scene, bool]:
+def _settled(config: CellConfig, compact: float, rng: np.random.Generator) -> tuple[Scene, bool]:
     """A table at rest, and whether all that lies on it is what no grasp could take."""
-    scene = random_table(workspace_of(config), rng)
+    scene = random_table(workspace_of(config), compact, rng)
     with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
         world = world_of(cell)
         at_rest = world.objects()
