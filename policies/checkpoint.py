@@ -87,7 +87,9 @@ def policy_from_checkpoint(path: Path) -> LearnedPolicy:
 def save_checkpoint(
     path: Path, network: Network, config: PolicyConfig, provenance: Mapping[str, Any]
 ) -> str:
-    """Freeze a network into a policy file, whole or not at all. Returns its SHA-256."""
+    """Freeze a network into a policy file, whole or not at all. Returns its SHA-256. Raises
+    CheckpointError when the method needs another network."""
+    _check_method(config)
     arrays = {
         name: tensor.detach().cpu().contiguous().numpy()
         for name, tensor in sorted(network.state_dict().items())
@@ -181,4 +183,12 @@ def _config(fields: dict[str, Any]) -> PolicyConfig:
         raise CheckpointError(
             f"config.method = {config.method!r} is unknown; known are {', '.join(METHODS)}"
         )
+    _check_method(config)
     return config
+
+
+def _check_method(config: PolicyConfig) -> None:
+    if METHODS[config.method].choose is None and config.network != "coordinated":
+        raise CheckpointError(
+            f"config.method = {config.method!r} needs the network coordinated, not {config.network}"
+        )

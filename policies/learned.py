@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 
+from policies.coordinator import coordinated
 from policies.critics import critic_one, critic_two
 from policies.decide import best_grasps, best_push, to_primitive
 from policies.errors import NoActionError
@@ -16,6 +17,7 @@ from policies.heightmap import Heightmap
 from policies.masks import allowed
 from policies.methods import Method
 from policies.networks.build import for_inference
+from policies.networks.coordinated import CoordinatedNet
 from policies.networks.maps import Network
 from policies.policy import CriticVerdict, Decision, QMaps
 from policies.primitives import Primitive
@@ -33,7 +35,10 @@ class LearnedPolicy:
         self, network: Network, method: Method, *, goal: bool, dtype: torch.dtype | None = None
     ) -> None:
         """goal: the network reads the goal mask. dtype: bfloat16 or float32; by default what
-        this processor is fastest at."""
+        this processor is fastest at. Raises ValueError: the method's rule is to be the network's
+        coordinator, and it has none."""
+        if method.choose is None and not isinstance(network, CoordinatedNet):
+            raise ValueError(f"method {method.name} needs a network with a coordinator")
         self.method = method
         self.goal = goal
         self._dtype = dtype or fastest_dtype()
@@ -56,7 +61,11 @@ class LearnedPolicy:
             push = best_push(maps, rng)
             if heightmap.goal is not None and push is not None and push.q >= self.method.push_from:
                 grasps = tuple(grasp for grasp in grasps if heightmap.goal[grasp.row, grasp.col])
-            chosen = self.method.choose(grasps, push, heightmap)
+            if self.method.choose is not None:
+                chosen = self.method.choose(grasps, push, heightmap)
+            else:
+                assert isinstance(self._network, CoordinatedNet)
+                chosen = coordinated(self._network.coordinator, grasps, push, heightmap, avoid)
         if chosen is None:
             raise NoActionError(
                 f"{self.method.name}: no action is allowed: nothing rises above the table, "

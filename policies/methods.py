@@ -1,7 +1,4 @@
-"""TDPG and its predecessors as configurations of the same parts.
-
-GI is missing: its coordinator is a trained classifier, not a rule.
-"""
+"""TDPG and its predecessors as configurations of the same parts."""
 
 from __future__ import annotations
 
@@ -11,9 +8,8 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-import torch
-import torch.nn.functional as F
 
+from policies.border import border_occupancy
 from policies.decide import (
     CONSIDERED,
     Choice,
@@ -22,7 +18,6 @@ from policies.decide import (
     choose_if_sure,
 )
 from policies.heightmap import Heightmap
-from policies.standing import rising
 
 Rule = Callable[[Sequence[Choice], Choice | None, Heightmap], Choice | None]
 Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float64]], Choice]
@@ -31,17 +26,17 @@ Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float6
 @dataclass(frozen=True, kw_only=True)
 class Method:
     """choose: the best grasps, the best push and what was seen -> one of them; None if there
-    is none. pushes: both maps are valued. judge: what Critic II makes of that choice, of the
-    same grasps and push, and of each grasp's P_success; None: it has no say. judge_for_goal: in
-    its stead when a goal is to be fetched, if it differs. considered: how many grasps all are
-    shown; with a goal, as many on it and as many of what is in its way. sure_first: of each, as
-    many that surely hold what they close on, and after them as many of the others. any_push: the
-    values of pushes are shares of what they free, and tell which are promising without further
-    rules. push_from: the value from which on a push is made for a goal before anything is lifted
-    that is in its way."""
+    is none. No rule: the network's coordinator chooses. pushes: both maps are valued. judge: what
+    Critic II makes of that choice, of the same grasps and push, and of each grasp's P_success;
+    None: it has no say. judge_for_goal: in its stead when a goal is to be fetched, if it differs.
+    considered: how many grasps all are shown; with a goal, as many on it and as many of what is in
+    its way. sure_first: of each, as many that surely hold what they close on, and after them as
+    many of the others. any_push: the values of pushes are shares of what they free, and tell which
+    are promising without further rules. push_from: the value from which on a push is made for a
+    goal before anything is lifted that is in its way."""
 
     name: str
-    choose: Rule
+    choose: Rule | None
     pushes: bool = True
     judge: Judge | None = None
     judge_for_goal: Judge | None = None
@@ -65,7 +60,6 @@ def highest_value(
 
 OCCUPIED = 0.3  # EPG: part of the goal's border above which it is pushed free first
 WORTHWHILE = 1.0  # EPG: grasp value below which it pushes, in units of the grasp's reward
-BORDER = 5  # pixels; width of the border around the goal
 
 
 def free_the_goal(
@@ -76,16 +70,6 @@ def free_the_goal(
         return choose_by_critic_one(grasps, push)
     hemmed_in = border_occupancy(heightmap) > OCCUPIED
     return push if hemmed_in or grasps[0].q < WORTHWHILE else grasps[0]
-
-
-def border_occupancy(heightmap: Heightmap) -> float:
-    """Part of the goal's border that rises above the table; 0 without a goal."""
-    if heightmap.goal is None:
-        return 0.0
-    goal = torch.from_numpy(heightmap.goal.astype(np.float32))[None, None]
-    grown = F.max_pool2d(goal, 2 * BORDER + 1, stride=1, padding=BORDER)[0, 0].numpy() > 0
-    border = grown & ~heightmap.goal
-    return float(rising(heightmap)[border].mean()) if border.any() else 0.0
 
 
 SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
@@ -100,6 +84,7 @@ METHODS = {
         Method(name="grasp-only", choose=highest_value, pushes=False),
         Method(name="vpg", choose=highest_value),
         Method(name="vpg+critic", choose=highest_value, judge=choose_by_critic_two),
+        Method(name="gi", choose=None),
         Method(name="epg", choose=free_the_goal),
         Method(name="tdpg-base", choose=highest_value),
         Method(name="tdpg", choose=highest_value, judge=choose_by_critic_two),

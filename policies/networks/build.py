@@ -7,6 +7,7 @@ import copy
 import torch
 from torch import nn
 
+from policies.networks.coordinated import CoordinatedNet
 from policies.networks.densenet import GROWTH
 from policies.networks.light import LightNet
 from policies.networks.maps import Network
@@ -17,12 +18,14 @@ from policies.networks.two_towers import TwoTowerNet
 WIDTHS = {
     "light": range(4, 65),
     "twin": range(4, 65),
+    "coordinated": range(4, 65),
     "densenet121": range(GROWTH, GROWTH + 1),
 }
 # Weights of first layers, whose last input channel is the goal mask where there is one.
 ENTRANCES = {
     "light": ("stem.weight",),
     "twin": ("light.stem.weight",),
+    "coordinated": ("light.stem.weight",),
     "densenet121": tuple(
         f"{tower}.features.conv0.weight" for tower in ("color_tower", "depth_tower")
     ),
@@ -38,6 +41,8 @@ def build(kind: str, *, goal: bool, width: int) -> Network:
         raise ValueError(f"width = {width} is not within {widths[0]} to {widths[-1]} for {kind}")
     if kind == "densenet121":
         return TwoTowerNet(goal=goal)
+    if kind == "coordinated":
+        return CoordinatedNet(goal=goal, width=width)
     return {"light": LightNet, "twin": TwinNet}[kind](goal=goal, width=width)
 
 

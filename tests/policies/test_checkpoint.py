@@ -219,12 +219,13 @@ def sealed_config(**changes: object) -> bytes:
     [
         (
             {"network": "resnet"},
-            "config.network = 'resnet' is unknown; known are light, twin, dense",
+            "config.network = 'resnet' is unknown; known are light, twin, coord",
         ),
         ({"width": "16"}, "config.width = '16' is no int"),
         ({"width": 10**6}, "config.width = 1000000 does not exist for light"),
         ({"goal": 0}, "config.goal = 0 is no bool"),
         ({"method": "dqn"}, "config.method = 'dqn' is unknown; known are grasp-only, vpg"),
+        ({"method": "gi"}, "config.method = 'gi' needs the network coordinated, not light"),
         ({"extra": 1}, "config has the fields .*'extra'"),
     ],
 )

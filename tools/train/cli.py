@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-    from tools.train.config import PushCourse, TrainConfig
+    from tools.train.config import CoordinatorCourse, PushCourse, TrainConfig
     from tools.train.curve import Progress as Round
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
@@ -44,7 +44,10 @@ def parser() -> argparse.ArgumentParser:
         "(default: --out)",
     )
     p.add_argument(
-        "--actions", type=int, metavar="N", help="of each stage, or pushes, not the experiment's"
+        "--actions",
+        type=int,
+        metavar="N",
+        help="of each stage, pushes of each round, or grasps, not the experiment's",
     )
     p.add_argument("--seed", type=int, metavar="N", help="instead of the experiment's")
     p.add_argument("--workers", type=int, metavar="N", help="processes that play")
@@ -59,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from policies.errors import PolicyError
     from tdpg_deploy.errors import TdpgError
-    from tools.train.config import PushCourse, load_experiment
+    from tools.train.config import CoordinatorCourse, PushCourse, load_experiment
 
     console = Console()
     try:
@@ -67,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         experiment = load_experiment(file)
         if isinstance(experiment, PushCourse):
             policy = _teach(experiment, args, console)
+        elif isinstance(experiment, CoordinatorCourse):
+            policy = _coordinate(experiment, args, console)
         else:
             policy = _train(experiment, args, console)
     except (TdpgError, PolicyError) as error:
@@ -126,6 +131,25 @@ def _teach(course: PushCourse, args: argparse.Namespace, console: Console) -> Pa
             bar.update(task, completed=done, total=total, description=what)
 
         return teach_pushes(course, args.out, args.pushes or args.out, on_progress=show)
+
+
+def _coordinate(course: CoordinatorCourse, args: argparse.Namespace, console: Console) -> Path:
+    from tdpg_deploy.errors import ConfigError
+    from tools.train.config import overridden_coordinator
+    from tools.train.coordinate import teach_coordinator
+
+    if args.imagenet is not None or args.pushes is not None:
+        raise ConfigError("--imagenet, --pushes: a coordinator has neither")
+    course = overridden_coordinator(
+        course, grasps=args.actions, seed=args.seed, workers=args.workers, start=args.start
+    )
+    with _bar(console) as bar:
+        task = bar.add_task("grasps made", total=course.grasps)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        return teach_coordinator(course, args.out, on_progress=show)
 
 
 def _bar(console: Console) -> Progress:

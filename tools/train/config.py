@@ -193,13 +193,34 @@ class PushCourse(_Section):
         return sum(each.updates for each in self.rounds)
 
 
-def load_experiment(path: Path) -> TrainConfig | PushCourse:
-    """Read an experiment's TOML file, of either kind. Raises ConfigError that names field and
+class CoordinatorCourse(_Section):
+    """GI's coordinator for the critics of a policy that reads a goal, `start`: from so many grasps
+    of goals, some sensible and some not."""
+
+    course: Literal["coordinator"]
+    seed: int = 0
+    start: Path | None = None
+    workers: int = Field(2, ge=1, le=64)
+    grasps: int = Field(ge=1)
+    updates: int = Field(ge=1)
+    randomization: Randomization = Randomization()
+    batch: int = Field(64, ge=1)
+    learning_rate: float = Field(1e-3, gt=0)
+
+
+Experiment: TypeAlias = TrainConfig | PushCourse | CoordinatorCourse
+
+
+def load_experiment(path: Path) -> Experiment:
+    """Read an experiment's TOML file, of any kind. Raises ConfigError that names field and
     value."""
+    courses: dict[object, type[Experiment]] = {
+        "pushes": PushCourse,
+        "coordinator": CoordinatorCourse,
+    }
     try:
         fields = tomllib.loads(path.read_text(encoding="utf-8"))
-        kind = PushCourse if "course" in fields else TrainConfig
-        return kind.model_validate(fields)
+        return courses.get(fields.get("course"), TrainConfig).model_validate(fields)
     except (OSError, tomllib.TOMLDecodeError, ValidationError) as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -224,6 +245,24 @@ def overridden_course(
         "start": None if start is None else start.absolute(),
     }
     return _validated(PushCourse, data | _not_none(given))
+
+
+def overridden_coordinator(
+    course: CoordinatorCourse,
+    *,
+    grasps: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    start: Path | None = None,
+) -> CoordinatorCourse:
+    """The same course but for what is not None. Raises ConfigError."""
+    given = {
+        "grasps": grasps,
+        "seed": seed,
+        "workers": workers,
+        "start": None if start is None else start.absolute(),
+    }
+    return _validated(CoordinatorCourse, course.model_dump() | _not_none(given))
 
 
 def overridden(

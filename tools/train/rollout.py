@@ -57,7 +57,7 @@ def play(task: RolloutTask) -> Experience:
         config = randomized(task.cell, task.randomization, rng)
         scene = _scene(task.stage, workspace_of(config), rng)
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
-            for _ in _goals(cell, rng) if policy.goal else [None]:
+            for _ in goals(cell, rng) if policy.goal else [None]:
                 left = task.actions - note.actions
                 cell.config = _with_budget(config, min(left, task.stage.table_actions or left))
                 result = run_episode(cell, player, rng=rng, log=note, goal=policy.goal)
@@ -79,7 +79,7 @@ def _scene(stage: Stage, workspace: Workspace, rng: np.random.Generator) -> Scen
     return random_scene(count, workspace, rng, shapes)
 
 
-def _goals(cell: Cell, rng: np.random.Generator) -> Iterator[int]:
+def goals(cell: Cell, rng: np.random.Generator) -> Iterator[int]:
     """Show one random object in sight after another as the goal, until there is none or the
     same one was aimed at and is still there: "until the workspace no longer contains any viable
     target objects" (paper, section III-D)."""
