@@ -1,7 +1,6 @@
 """The light network: made for two CPU cores, and for learning from one pixel at a time.
 
-A small residual U-Net. It has no normalisation, and features are zero outside of the workspace
-at every layer, so the value of an action depends on the PATCH of picture around it and on
+A small residual U-Net, whose value of an action depends on the PATCH of picture around it and on
 nothing else: training runs on patches and yields the values of the whole picture.
 """
 
@@ -12,13 +11,14 @@ import torch.nn.functional as F
 from torch import nn
 
 from policies import state
+from policies.networks.encoder import Encoder, Residual, he, relu_inside, unpadded
 from policies.networks.maps import Maps, Network
 from policies.rotation import sample
 
 WINDOW = 5  # cells of 8 mm a side that Critic II looks at
 
 
-class LightNet(Network):
+class LightNet(Network, Encoder):
     """PushNet, GraspNet and EvaluationNet on one shared trunk. An action's value depends on
     the 118 pixels (24 cm) around it.
 
@@ -30,15 +30,8 @@ class LightNet(Network):
     PATCH = 144  # pixels; holds the receptive field of every output at every phase
 
     def __init__(self, *, goal: bool, width: int = 16) -> None:
-        super().__init__()
-        fine, middle, coarse = width, 2 * width, 4 * width
-        # Without bias, what is zero outside stays zero; the channel INSIDE stands in for it.
-        self.stem = nn.Conv2d(state.channels(goal=goal), fine, 6, stride=2, padding=2, bias=False)
-        self.down4 = nn.Conv2d(fine, middle, 3, stride=2, padding=1)
-        self.mix4 = nn.Conv2d(middle, middle, 3, padding=1)
-        self.down8 = nn.Conv2d(middle, coarse, 3, stride=2, padding=1)
-        self.blocks = nn.ModuleList(Residual(coarse, dilation) for dilation in (1, 2))
-        self.up4 = nn.Conv2d(coarse, middle, 1, bias=False)
+        fine, middle = width, 2 * width
+        super().__init__(state.channels(goal=goal), (fine, middle, 4 * width), dilations=(1, 2))
         self.fuse4 = nn.Conv2d(middle, middle, 3, padding=1)
         self.up2 = nn.Conv2d(middle, fine, 1, bias=False)
         self.fuse2 = nn.Conv2d(fine, 2 * fine, 3, padding=1)
@@ -46,23 +39,13 @@ class LightNet(Network):
         self.grasp_net = nn.Conv2d(fine, 1, 1)
         self.evaluation_net = _EvaluationNet(middle)
         self.apply(he)
-        for block in self.blocks:
-            assert isinstance(block, Residual)
-            nn.init.zeros_(block.second.weight)  # blocks begin as the identity
+        self.begin_as_identity()
         for head in (self.push_net, self.grasp_net):
             nn.init.normal_(head.weight, std=0.01)  # values begin near zero
 
     def forward(self, picture: torch.Tensor) -> Maps:
         """(n, 6 or 7, h, w), h and w multiples of 8 -> values at stride 2."""
-        inside4 = picture[:, :1, 2::4, 2::4]  # at the middle of each cell
-        inside8 = picture[:, :1, 4::8, 4::8]
-        x2 = F.relu_(self.stem(picture))
-        x4 = relu_inside(self.down4(x2), inside4)
-        x4 = relu_inside(self.mix4(x4), inside4)
-        x8 = relu_inside(self.down8(x4), inside8)
-        for block in self.blocks:
-            x8 = block(x8, inside8)
-        features = F.relu_(F.interpolate(self.up4(x8), scale_factor=2.0).add_(x4))
+        x2, features, inside4 = self.encode(picture)
         x4 = relu_inside(self.fuse4(features), inside4)
         x2 = F.relu_(F.interpolate(self.up2(x4), scale_factor=2.0).add_(x2))
         push, grasp = F.relu_(self.fuse2(x2)).chunk(2, dim=1)
@@ -113,37 +96,6 @@ class LightNet(Network):
         return logits.float()
 
 
-class Residual(nn.Module):
-    """Two convolutions, the second one dilated, beside the identity."""
-
-    def __init__(self, channels: int, dilation: int) -> None:
-        super().__init__()
-        self.first = nn.Conv2d(channels, channels, 3, padding=1)
-        self.second = nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation)
-
-    def forward(self, x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
-        y = relu_inside(self.first(x), inside)
-        return relu_inside(self.second(y).add_(x), inside)
-
-    def inner(self, x: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """What `forward` makes of the middle, which no padding reaches, and `inside` there."""
-        y = relu_inside(unpadded(self.first, x), inside[:, :, 1:-1, 1:-1])
-        y = unpadded(self.second, y)
-        lost = (x.shape[2] - y.shape[2]) // 2
-        inside = inside[:, :, lost:-lost, lost:-lost]
-        return relu_inside(y.add_(x[:, :, lost:-lost, lost:-lost]), inside), inside
-
-
-def unpadded(layer: nn.Conv2d, x: torch.Tensor) -> torch.Tensor:
-    """The convolution without its padding."""
-    return F.conv2d(x, layer.weight, layer.bias, layer.stride, 0, layer.dilation)
-
-
-def relu_inside(x: torch.Tensor, inside: torch.Tensor) -> torch.Tensor:
-    """ReLU, and zero outside. In place, which halves the time of a decision."""
-    return F.relu_(x.mul_(inside))
-
-
 class _EvaluationNet(nn.Module):
     """Three 3x3 convolutions and a fully connected layer (paper, section III-D)."""
 
@@ -159,11 +111,3 @@ class _EvaluationNet(nn.Module):
             window = F.relu(convolution(window))
         logits: torch.Tensor = self.fully_connected(window.flatten(1))
         return logits[:, 0]
-
-
-def he(module: nn.Module) -> None:
-    """He's initialisation of a convolution, for ReLU."""
-    if isinstance(module, nn.Conv2d):
-        nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
-        if module.bias is not None:
-            nn.init.zeros_(module.bias)

@@ -14,7 +14,8 @@ from torch import nn
 
 from policies import state
 from policies.heightmap import PIXEL
-from policies.networks.light import LightNet, Residual, he, relu_inside, unpadded
+from policies.networks.encoder import Encoder, Residual, he, relu_inside, unpadded
+from policies.networks.light import LightNet
 from policies.networks.maps import Maps, Network
 from policies.primitives import PUSH_LENGTH
 from policies.rotation import sample
@@ -23,7 +24,7 @@ from policies.standing import RISE
 _STRIDE = 4  # pixels of the picture to one of PushNet's values
 _CELLS = round(PUSH_LENGTH / 2 / PIXEL / _STRIDE)
 AHEAD = _CELLS * _STRIDE  # pixels from a push's start to the middle of its way
-_COARSE = 48  # channels at stride 8
+_WIDTHS = (16, 32, 48)  # channels at stride 2, 4, 8
 _DILATIONS = (1, 2, 2)
 
 
@@ -56,7 +57,7 @@ def all_that_rises(picture: torch.Tensor) -> torch.Tensor:
     return (height > RISE * state.HEIGHT_SCALE).to(picture.dtype)
 
 
-class PushNet(nn.Module):
+class PushNet(Encoder):
     """Logits of what pushes free of the goal's channel, each at the middle of its way:
     (n, 7, h, w) -> (n, 1, h / 4, w / 4). Zero outside of the workspace at every layer, as LightNet.
     """
@@ -65,32 +66,16 @@ class PushNet(nn.Module):
     PATCH = 192  # pixels; holds the receptive field of every output at every phase
 
     def __init__(self) -> None:
-        super().__init__()
-        fine, middle = 16, 32
-        self.stem = nn.Conv2d(state.channels(goal=True), fine, 6, stride=2, padding=2, bias=False)
-        self.down4 = nn.Conv2d(fine, middle, 3, stride=2, padding=1)
-        self.mix4 = nn.Conv2d(middle, middle, 3, padding=1)
-        self.down8 = nn.Conv2d(middle, _COARSE, 3, stride=2, padding=1)
-        self.blocks = nn.ModuleList(Residual(_COARSE, dilation) for dilation in _DILATIONS)
-        self.up4 = nn.Conv2d(_COARSE, middle, 1, bias=False)
+        super().__init__(state.channels(goal=True), _WIDTHS, dilations=_DILATIONS)
+        middle = _WIDTHS[1]
         self.fuse4 = nn.Conv2d(middle, middle, 3, padding=1)
         self.value = nn.Conv2d(middle, 1, 1)
         self.apply(he)
-        for block in self.blocks:
-            assert isinstance(block, Residual)
-            nn.init.zeros_(block.second.weight)  # blocks begin as the identity
+        self.begin_as_identity()
         nn.init.normal_(self.value.weight, std=0.01)
 
     def forward(self, picture: torch.Tensor) -> torch.Tensor:
-        inside4 = picture[:, :1, 2::4, 2::4]  # at the middle of each cell
-        inside8 = picture[:, :1, 4::8, 4::8]
-        x2 = F.relu_(self.stem(picture))
-        x4 = relu_inside(self.down4(x2), inside4)
-        x4 = relu_inside(self.mix4(x4), inside4)
-        x8 = relu_inside(self.down8(x4), inside8)
-        for block in self.blocks:
-            x8 = block(x8, inside8)
-        x4 = F.relu_(F.interpolate(self.up4(x8), scale_factor=2.0).add_(x4))
+        _, x4, inside4 = self.encode(picture)
         logits: torch.Tensor = self.value(relu_inside(self.fuse4(x4), inside4))
         return logits
 
