@@ -28,12 +28,10 @@ class AllowedMaps(QMaps):
     sure: Mask
 
 
-def allowed(
-    maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = (), *, any_push: bool = False
-) -> AllowedMaps:
+def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> AllowedMaps:
     """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
-    squeeze out what they close on are allowed when nothing else is left. any_push: the values tell
-    promising pushes from others; else only the most promising kind of them is allowed."""
+    squeeze out what they close on are allowed when nothing else is left. Of pushes only the most
+    promising kind that is left."""
     ground = under_open_gripper(heightmap)
     grasp = np.where(graspable(heightmap, ground), maps.grasp, np.float32(-np.inf))
     for primitive in avoid:
@@ -42,7 +40,7 @@ def allowed(
             for side in (rotation, rotation + HALF_TURN):
                 strike_out(grasp, side, row, col)
     pushes = [primitive for primitive in avoid if isinstance(primitive, Push)]
-    push = _pushes(maps.push, heightmap, pushes, any_push=any_push)
+    push = _pushes(maps.push, heightmap, pushes)
     half = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
     held = np.where(np.concatenate((half, half)) <= MAX_WEDGE, grasp, np.float32(-np.inf))
     nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
@@ -61,12 +59,12 @@ def graspable(heightmap: Heightmap, ground: Ground) -> Mask:
     return np.concatenate((half, half))
 
 
-def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push], *, any_push: bool) -> Map:
+def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push]) -> Map:
     """The values of the first kind of pushes of which any are left."""
     left = np.full_like(values, -np.inf)
     if np.isneginf(values).all():
         return left  # a policy that does not push
-    for mask in pushable(heightmap, any_push=any_push):
+    for mask in pushable(heightmap):
         left = np.where(mask, values, np.float32(-np.inf))
         for push in avoid:
             strike_out(left, *_entry(push, heightmap))

@@ -31,9 +31,8 @@ class Method:
     None: it has no say. judge_for_goal: in its stead when a goal is to be fetched, if it differs.
     considered: how many grasps all are shown; with a goal, as many on it and as many of what is in
     its way. sure_first: of each, as many that surely hold what they close on, and after them as
-    many of the others. any_push: the values of pushes are shares of what they free, and tell which
-    are promising without further rules. push_from: the value from which on a push is made for a
-    goal before anything is lifted that is in its way."""
+    many of the others. push_from: the value from which on a push is made for a goal before anything
+    is lifted that is in its way."""
 
     name: str
     choose: Rule | None
@@ -42,7 +41,6 @@ class Method:
     judge_for_goal: Judge | None = None
     considered: int = CONSIDERED
     sure_first: bool = False
-    any_push: bool = False
     push_from: float = np.inf
 
     def judge_of(self, heightmap: Heightmap) -> Judge | None:
@@ -98,6 +96,4 @@ METHODS = {
         ),
     )
 }
-METHODS["tdpg-free"] = replace(
-    METHODS["tdpg-sure"], name="tdpg-free", any_push=True, push_from=FREES
-)
+METHODS["tdpg-free"] = replace(METHODS["tdpg-sure"], name="tdpg-free", push_from=FREES)

@@ -27,7 +27,7 @@ GOAL_MARGIN = 0.03  # m inside of it that the goal's middle stays, pushed as far
 _HALF_WIDTH = round(PUSH_HALF_WIDTH / PIXEL)
 
 
-def pushable(heightmap: Heightmap, *, any_push: bool = False) -> Iterator[Mask]:
+def pushable(heightmap: Heightmap) -> Iterator[Mask]:
     """Masks (16, 224, 224) of one kind of pushes after the other, the most promising first. All
     start on seen ground, meet something that stands higher than their start by RISE, go on from
     there, and end, after PUSH_LENGTH, well inside of the workspace.
@@ -35,8 +35,8 @@ def pushable(heightmap: Heightmap, *, any_push: bool = False) -> Iterator[Mask]:
     With a goal: those that have it slide out alone from what it stands beside; those that meet it
     or what is beside it and go on over where it lies. Without one: those that go through the
     middle of a pile, which frees the most of it. Then, for both, those that go on for long: a grasp
-    followed 178 of 180 that went on by 80 mm or more, and 148 of 175 others. any_push: all of them
-    at once, without telling kinds.
+    followed 178 of 180 that went on by 80 mm or more, and 148 of 175 others. The last kind
+    is all of them.
     """
     ground = under_closed_gripper(heightmap)
     lowest = np.concatenate((ground.highest, ground.highest)) + np.float32(RISE)
@@ -51,9 +51,6 @@ def pushable(heightmap: Heightmap, *, any_push: bool = False) -> Iterator[Mask]:
         met: Mask = starts & (_met(heightmap, what, PUSH_LENGTH - through) > lowest)
         return met
 
-    if any_push:
-        yield meets(beside, PUSH_AT_LEAST)
-        return
     if heightmap.goal is not None:
         goal = objects & heightmap.goal
         over_goal = meets(goal, GOAL_THROUGH)

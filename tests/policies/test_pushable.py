@@ -59,12 +59,11 @@ def test_pushes_that_go_on_for_long_come_before_shorter_ones() -> None:
     assert short[0, 134, 110]
 
 
-def test_any_push_is_of_the_last_kind() -> None:
-    """Values that tell promising pushes from others need no kinds."""
+def test_the_last_kind_is_all_of_them() -> None:
     goal = goal_at(slice(90, 130), slice(100, 120))
     row = [(90, col, 40, 20, 0.05) for col in (79, 100, 121)]
     for heightmap in (table_with(*row), table_with(*row, goal=goal)):
-        (every,) = pushable(heightmap, any_push=True)
+        *_, every = pushable(heightmap)
         np.testing.assert_array_equal(every, any_kind(heightmap))
         assert every.any()
 

@@ -21,7 +21,7 @@ from tools.train.trainer import training_cell
 
 def course_from(start: Path | None) -> CoordinatorCourse:
     return CoordinatorCourse(
-        course="coordinator", seed=1, grasps=12, updates=20, batch=4, start=start
+        course="coordinator", seed=1, grasps=4, updates=20, batch=4, start=start
     )
 
 
@@ -54,7 +54,7 @@ def test_it_learns_which_situations_end_well() -> None:
 def test_a_course_ends_in_a_policy_that_is_coordinated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(coordinate, "RECORD", 6)
+    monkeypatch.setattr(coordinate, "RECORD", 2)
     monkeypatch.setattr(coordinate, "HELD_OUT", 2)
     start = policy(tmp_path / "critics.safetensors", goal=True)
     told: list[tuple[int, int]] = []
@@ -64,7 +64,7 @@ def test_a_course_ends_in_a_policy_that_is_coordinated(
 
     out = tmp_path / "gi"
     path = teach_coordinator(course_from(start), out, on_progress=tell)
-    assert told == [(6, 12), (12, 12)]
+    assert told == [(2, 4), (4, 4)]
     frozen = load_checkpoint(path)
     assert (frozen.config.network, frozen.config.method) == ("coordinated", "gi")
     light = load_checkpoint(start).weights
@@ -89,7 +89,7 @@ def test_the_same_task_tosses_the_same_coins(tmp_path: Path) -> None:
             cell=training_cell(),
             randomization=course_from(None).randomization,
             seed=(3, 1),
-            grasps=4,
+            grasps=2,
             file=tmp_path / f"{name}.npz",
         )
         with np.load(toss(task), allow_pickle=False) as record:

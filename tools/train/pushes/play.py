@@ -251,7 +251,7 @@ class Chooser:
 
     def _values(self, aimed: Heightmap) -> Map:
         """(16, 224, 224), -inf where no push is allowed."""
-        (allowed,) = pushable(aimed, any_push=True)
+        *_, allowed = pushable(aimed)
         goal = rising(aimed) if aimed.goal is None else aimed.goal
         state = encode(replace(aimed, goal=goal), goal=True).to(fastest_dtype())
         values = back_to_map(self._network.values(pictures(state)).float())[:, 0].numpy()
