@@ -12,7 +12,7 @@ from policies.policy import Decider
 
 # In weights/, each with its card beside it.
 CLEAR = "clear.safetensors"
-FETCH = "fetch.safetensors"
+FETCH = "fetch-free.safetensors"
 
 
 @dataclass(frozen=True, kw_only=True)
