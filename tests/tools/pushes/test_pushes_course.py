@@ -44,6 +44,12 @@ def course_from(grasps: Path | None) -> PushCourse:
     return PushCourse(course="pushes", seed=1, rounds=rounds, batch=2, start=grasps)
 
 
+def task_for(file: Path, *, pushes: int) -> PushTask:
+    return PushTask(
+        cell=training_cell(), randomization=Randomization(), seed=(3, 1), pushes=pushes, file=file
+    )
+
+
 @pytest.mark.slow
 def test_a_course_that_was_killed_ends_like_one_that_was_not(
     small: None, grasps: Path, tmp_path: Path
@@ -98,13 +104,7 @@ def test_a_course_that_was_killed_ends_like_one_that_was_not(
 
 @pytest.mark.slow
 def test_the_same_task_gives_the_same_record(tmp_path: Path) -> None:
-    task = PushTask(
-        cell=training_cell(),
-        randomization=Randomization(),
-        seed=(3, 1),
-        pushes=4,
-        file=tmp_path / "one.npz",
-    )
+    task = dataclasses.replace(task_for(tmp_path / "one.npz", pushes=4), compact=0.5)
     record = PushRecord.load(play_pushes(task))
     again = PushRecord.load(play_pushes(dataclasses.replace(task, file=tmp_path / "two.npz")))
     for field in dataclasses.fields(PushRecord):
@@ -127,13 +127,8 @@ def test_a_push_net_chooses_its_best_pushes(tmp_path: Path) -> None:
     """One on fresh weights: where all are worth the same it still takes three that are apart."""
     torch.manual_seed(0)
     torch.save(PushNet().state_dict(), tmp_path / "net.pt")
-    task = PushTask(
-        cell=training_cell(),
-        randomization=Randomization(),
-        seed=(3, 2),
-        pushes=3,
-        file=tmp_path / "one.npz",
-        chooser=tmp_path / "net.pt",
+    task = dataclasses.replace(
+        task_for(tmp_path / "one.npz", pushes=3), chooser=tmp_path / "net.pt"
     )
     record = PushRecord.load(play_pushes(task))
     assert len(np.unique(record.pushes, axis=0)) == len(record.pushes)
