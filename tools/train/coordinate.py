@@ -55,7 +55,7 @@ Array = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class CoinTask:
-    """Play until so many grasps of goals were made; write their record to `file`."""
+    """Play until so many grasps of goals were made, or a few more; write their record to `file`."""
 
     weights: Path
     cell: CellConfig
@@ -132,7 +132,7 @@ def toss(task: CoinTask) -> Path:
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
             for _ in goals(cell, rng):
                 result = run_episode(cell, note, rng=rng, log=note, goal=True)
-                if result.reason is EndReason.DEVICE_ERROR:
+                if len(note.succeeded) >= task.grasps or result.reason is EndReason.DEVICE_ERROR:
                     break  # an arm that is caught is freed by hand; here, by another cell
     part = task.file.with_name(task.file.name + ".part")
     with part.open("wb") as file:
