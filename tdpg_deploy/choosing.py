@@ -18,7 +18,7 @@ from policies.standing import Mask, within
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.change import changed
 from tdpg_deploy.errors import PlanRefused
-from tdpg_deploy.motion import plan_primitive
+from tdpg_deploy.motion import DESCENT, plan_primitive
 from tdpg_deploy.outcome import Outcome, Verdict
 from tdpg_deploy.plan import Plan
 from tdpg_deploy.safety import check
@@ -32,7 +32,8 @@ MAX_REFUSALS = 100  # per look: behind a tall block many of the best need unseen
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Futile:
-    """An action that failed and moved nothing: not to be tried again until the map changes."""
+    """An action that failed and moved nothing, or that ended on its way down, whatever it shook
+    there: not to be tried again until the map changes."""
 
     primitive: Primitive
     seen: Heightmap
@@ -78,7 +79,9 @@ class Chooser:
             for action in self._futile
             if changed(action.seen, after, action.primitive) is not Verdict.YES
         ]
-        if (
+        if outcome.motion.contact in DESCENT:
+            self._futile.append(_Futile(primitive=primitive, seen=after))
+        elif (
             outcome.success is not Verdict.YES
             and changed(before, after, primitive) is not Verdict.YES
         ):

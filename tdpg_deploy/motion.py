@@ -34,6 +34,7 @@ from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan, Step
 MIN_PUSH = 0.02  # m: less moves nothing
 BACK_OUT = 0.015  # m back after a push: what it wedged between the fingers comes free of them
 TOUCH_MARGIN = 0.02  # m over what was seen: depth, calibration and table_z err by less together
+DESCENT = ("lower", "descend")  # names of the steps on the way down
 LIFT_SPEED = 0.3  # m/s: blocks stay gripped, and joints turn slowly enough close to the base
 
 
@@ -217,14 +218,14 @@ def _descent(X_base_tool: Transform, surface: float, config: CellConfig) -> tupl
     limits = config.limits
     touch_z = config.workspace.table_z + surface + TOUCH_MARGIN
     x, y, z = X_base_tool.translation
-    descend = _guarded("descend", X_base_tool, limits.descend_force, config)
+    descend = _guarded(DESCENT[1], X_base_tool, limits.descend_force, config)
     if limits.touch_speed >= limits.contact_speed or z >= touch_z:
         return (descend,)
     slow = replace(descend, speed=limits.touch_speed)
     if touch_z >= _travel_z(config):
         return (slow,)
     above = Transform(X_base_tool.rotation, np.array([x, y, touch_z]))
-    return _guarded("lower", above, limits.descend_force, config), slow
+    return _guarded(DESCENT[0], above, limits.descend_force, config), slow
 
 
 def _guarded(name: str, X_base_tool: Transform, force: float, config: CellConfig) -> MoveLinear:
