@@ -55,7 +55,6 @@ def test_a_course_ends_in_a_policy_that_is_coordinated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(coordinate, "RECORD", 2)
-    monkeypatch.setattr(coordinate, "HELD_OUT", 2)
     start = policy(tmp_path / "critics.safetensors", goal=True)
     told: list[tuple[int, int]] = []
 

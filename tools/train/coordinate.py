@@ -40,13 +40,13 @@ from tdpg_deploy.workspace import workspace_of
 from tools.pool import process_pool
 from tools.train.claim import claim
 from tools.train.config import CoordinatorCourse, Randomization
+from tools.train.hold_out import split
 from tools.train.randomize import randomized
 from tools.train.rollout import goals
 from tools.train.run import WEIGHTS, started_with
 from tools.train.trainer import training_cell
 
 RECORD = 50  # grasps in one file
-HELD_OUT = 10  # every so many-th record is for validation
 CLUSTERED = 0.5  # share of the tables; else heaps of ...
 HEAP = (5, 30)  # objects
 
@@ -158,16 +158,16 @@ def teach_coordinator(
             f"{course.start}: network is {start.config.network}, goal is {start.config.goal}: "
             "begin with a light network that reads a goal"
         )
+    tasks = _tasks(course, course.start, out)
+    split(tasks, RECORD)  # too few: said before anything is played
     claim(out, {**course.model_dump(mode="json", exclude={"workers"}), "weights": start.sha256})
     records = []
-    tasks = _tasks(course, course.start, out)
     with process_pool(course.workers) as pool:
         for file in pool.map(toss, tasks):
             with np.load(file, allow_pickle=False) as record:
                 records.append((record["situations"], record["succeeded"]))
             on_progress(RECORD * len(records), RECORD * len(tasks))
-    held_out = records[HELD_OUT - 1 :: HELD_OUT]
-    kept = [record for i, record in enumerate(records) if i % HELD_OUT != HELD_OUT - 1]
+    kept, held_out = split(records, RECORD)
     torch.manual_seed(course.seed)
     network = CoordinatedNet(goal=True, width=start.config.width)
     network.light.load_state_dict(start.weights)
@@ -219,7 +219,7 @@ def _tasks(course: CoordinatorCourse, weights: Path, directory: Path) -> list[Co
             grasps=RECORD,
             file=directory / f"{number:04d}.npz",
         )
-        for number in range(max(2, math.ceil(course.grasps / RECORD)))
+        for number in range(math.ceil(course.grasps / RECORD))
     ]
 
 

@@ -14,6 +14,7 @@ from policies.networks.light import LightNet
 from policies.networks.twin import PushNet
 from policies.networks.two_towers import TwoTowerNet
 from tdpg_deploy.errors import ConfigError
+from tools.train import hold_out
 from tools.train.config import PushCourse, PushRound, Randomization
 from tools.train.curve import read_curve
 from tools.train.pushes import course as courses
@@ -35,7 +36,7 @@ def grasps(tmp_path: Path) -> Path:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(courses, "RECORD", 6)
-    monkeypatch.setattr(courses, "HELD_OUT", 2)
+    monkeypatch.setattr(hold_out, "EVERY", 2)
     monkeypatch.setattr(courses, "EPOCH", 2)
 
 
@@ -134,7 +135,7 @@ def test_a_push_net_chooses_its_best_pushes(tmp_path: Path) -> None:
     assert len(np.unique(record.pushes, axis=0)) == len(record.pushes)
 
 
-def test_a_course_begins_with_a_light_network(tmp_path: Path) -> None:
+def test_a_course_begins_with_a_light_network(small: None, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="give --from"):
         teach_pushes(course_from(None), tmp_path, tmp_path, on_progress=print)
     dense = tmp_path / "dense.safetensors"
@@ -144,7 +145,13 @@ def test_a_course_begins_with_a_light_network(tmp_path: Path) -> None:
         teach_pushes(course_from(dense), tmp_path, tmp_path, on_progress=print)
 
 
-def test_a_directory_belongs_to_one_course(grasps: Path, tmp_path: Path) -> None:
+def test_a_directory_belongs_to_one_course(small: None, grasps: Path, tmp_path: Path) -> None:
     (tmp_path / "experiment.json").write_text('{"course": "other"}')
     with pytest.raises(ConfigError, match="another experiment"):
         teach_pushes(course_from(grasps), tmp_path, tmp_path, on_progress=print)
+
+
+def test_one_record_of_pushes_is_too_few(grasps: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="give 201 or more"):
+        teach_pushes(course_from(grasps), tmp_path, tmp_path, on_progress=print)
+    assert not list(tmp_path.glob("*.npz"))

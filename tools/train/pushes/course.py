@@ -24,6 +24,7 @@ from tools.pool import process_pool
 from tools.train.claim import claim
 from tools.train.config import PushCourse, PushRound
 from tools.train.curve import Curve, Freed, PushProgress, PushValidation, read_curve
+from tools.train.hold_out import split
 from tools.train.pushes.lessons import ALL, Lessons, lessons_of
 from tools.train.pushes.play import PushRecord, PushTask, play_pushes
 from tools.train.pushes.teach import Teacher
@@ -33,7 +34,6 @@ from tools.train.trainer import training_cell
 Logits = npt.NDArray[np.float32]
 
 RECORD = 200  # pushes in one file
-HELD_OUT = 10  # every so many-th record is for validation
 EPOCH = 200  # updates
 WARM_UP = 100  # updates until the learning rate is reached
 
@@ -48,11 +48,13 @@ def teach_pushes(
     """Play and teach, or go on with what `directory` holds. Returns the policy's file in `out`:
     `course.start` with this PushNet. on_progress: is told what is done, how much, and of how much.
 
-    Raises ConfigError when the directory belongs to another course, or the policy to begin with
-    has no light network.
+    Raises ConfigError when the directory belongs to another course, the policy to begin with has
+    no light network, or the first round is of one record.
     """
     if course.start is None:
         raise ConfigError("a course of pushes is for a policy that grasps: give --from FILE")
+    first = math.ceil(course.rounds[0].pushes / RECORD)
+    split(range(first), RECORD)  # too few: said before anything is played
     start = load_checkpoint(course.start)
     network = _beside(course.start, start)
     claim(directory, course.model_dump(mode="json", exclude={"start", "workers"}))
@@ -85,7 +87,7 @@ def _teach(
 ) -> None:
     """What is left of a round, whose first epoch is `begins`."""
     directory = played[0].parent
-    lessons, held_out = _split([PushRecord.load(path) for path in played])
+    lessons, held_out = map(lessons_of, split([PushRecord.load(path) for path in played], RECORD))
     with Curve(directory, round=epochs.start) as curve:
         for epoch in epochs:
             rng = np.random.default_rng((course.seed, epoch))
@@ -156,13 +158,6 @@ def _play(
     ]
     with process_pool(course.workers) as pool:
         yield from pool.map(play_pushes, tasks)
-
-
-def _split(records: list[PushRecord]) -> tuple[Lessons, Lessons]:
-    """To learn from, and held out."""
-    out = records[HELD_OUT - 1 :: HELD_OUT]
-    kept = [record for i, record in enumerate(records) if i % HELD_OUT != HELD_OUT - 1]
-    return lessons_of(kept), lessons_of(out)
 
 
 def _beside(path: Path, start: Checkpoint) -> TwinNet:
