@@ -58,11 +58,11 @@ def run() -> list[Measurement]:
 
 
 @torch.inference_mode()
-def one_by_one(network: Network, heightmap: Heightmap) -> list[torch.Tensor]:
+def one_by_one(network: Network, heightmap: Heightmap) -> list[tuple[torch.Tensor, torch.Tensor]]:
     """Both maps of each rotation."""
     whole = pictures(encode(heightmap, goal=False)).contiguous()
     maps = [network(whole[k : k + 1]) for k in range(ROTATIONS)]
-    return [back_to_map(torch.cat((one.push, one.grasp), 1)) for one in maps]
+    return [(back_to_map(one.push), back_to_map(one.grasp)) for one in maps]
 
 
 def cluttered_table(rng: np.random.Generator) -> Heightmap:
