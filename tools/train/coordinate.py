@@ -1,7 +1,7 @@
 """GI's coordinator for a policy that grasps and pushes: a coin tosses between the best push and the
 goal's best grasp, each grasp's situation and success are kept, then the classifier learns them.
 
-A share of records follows from seed and number alone, so a course that was killed goes on.
+Records follow from seed and number alone, so a course that was killed goes on.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import torch.nn.functional as F
 
 from policies.checkpoint import Checkpoint, PolicyConfig, load_checkpoint, save_checkpoint
 from policies.coordinator import GRASP, Coordinator, on_goal, situation
-from policies.decide import best_grasps, best_push, to_primitive
+from policies.decide import best_grasps, best_push
 from policies.heightmap import Heightmap
 from policies.networks.coordinated import CoordinatedNet
 from policies.policy import Decider, Decision
@@ -40,6 +40,7 @@ from tdpg_deploy.workspace import workspace_of
 from tools.pool import process_pool
 from tools.train.claim import claim
 from tools.train.config import CoordinatorCourse, Randomization
+from tools.train.explore import with_choice
 from tools.train.hold_out import split
 from tools.train.randomize import randomized
 from tools.train.rollout import goals
@@ -89,15 +90,7 @@ class CoinToss(NullRecorder):
         choice = grasp if rng.random() < 0.5 else push
         if choice is grasp:
             self._tried = situation(grasp, push, heightmap, avoid)
-        return replace(
-            decision,
-            primitive=to_primitive(choice, heightmap),
-            rotation=choice.rotation,
-            row=choice.row,
-            col=choice.col,
-            q=choice.q,
-            verdict=None,
-        )
+        return with_choice(decision, choice, heightmap)
 
     def observe(self, frame: RgbdFrame, heightmap: Heightmap) -> None:
         assert heightmap.goal is not None
@@ -147,8 +140,8 @@ def teach_coordinator(
     """Play and teach. Returns the policy's file in `out`: the light network of `course.start`
     with its coordinator. on_progress: is told how many grasps are made, and of how many.
 
-    Raises ConfigError when `out` belongs to another course, or the policy to begin with has no
-    light network that reads a goal.
+    Raises ConfigError when `out` belongs to another course, the policy to begin with has no
+    light network that reads a goal, or the grasps make one record only.
     """
     if course.start is None:
         raise ConfigError("a coordinator is for a policy that grasps and pushes: give --from FILE")

@@ -52,15 +52,20 @@ class Exploring:
             return decision
         if choice is None:
             raise NoActionError(f"no {' or '.join(kinds)} is allowed: nothing is left to learn")
-        return replace(
-            decision,
-            primitive=to_primitive(choice, heightmap),
-            rotation=choice.rotation,
-            row=choice.row,
-            col=choice.col,
-            q=choice.q,
-            verdict=None,
-        )
+        return with_choice(decision, choice, heightmap)
+
+
+def with_choice(decision: Decision, choice: Choice, heightmap: Heightmap) -> Decision:
+    """The decision, but for what is done: nobody was asked about it."""
+    return replace(
+        decision,
+        primitive=to_primitive(choice, heightmap),
+        rotation=choice.rotation,
+        row=choice.row,
+        col=choice.col,
+        q=choice.q,
+        verdict=None,
+    )
 
 
 def _best_grasp(maps: QMaps, heightmap: Heightmap, rng: np.random.Generator) -> Choice | None:
