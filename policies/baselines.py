@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from policies.decide import best_grasps, best_push, choose_by_critic_one, to_primitive
+from policies.decide import best_grasps, best_push, choose_by_critic_one, decided
 from policies.errors import NoActionError
 from policies.heightmap import SIZE, Heightmap
 from policies.masks import allowed
@@ -36,13 +36,4 @@ class RandomPolicy:
         chosen = choose_by_critic_one(grasps, best_push(maps, rng))
         if chosen is None:
             raise NoActionError(f"random: no action is allowed ({len(avoid)} are to be avoided)")
-        return Decision(
-            primitive=to_primitive(chosen, heightmap),
-            rotation=chosen.rotation,
-            row=chosen.row,
-            col=chosen.col,
-            q=chosen.q,
-            maps=maps,
-            verdict=None,
-            seconds={"choose": time.perf_counter() - start},
-        )
+        return decided(chosen, heightmap, maps, seconds={"choose": time.perf_counter() - start})

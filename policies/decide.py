@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from policies.heightmap import Heightmap
 from policies.masks import strike_out
-from policies.policy import HALF_TURN, ROTATIONS, QMaps
+from policies.policy import HALF_TURN, ROTATIONS, CriticVerdict, Decision, QMaps
 from policies.primitives import Grasp, Primitive, Push
 from policies.standing import Map, Mask
 
@@ -140,6 +140,27 @@ def surface(height: Map, row: int, col: int, margin: int) -> float:
         max(0, row - margin) : row + margin + 1, max(0, col - margin) : col + margin + 1
     ]
     return float(np.nanquantile(window, 0.9))
+
+
+def decided(
+    choice: Choice,
+    heightmap: Heightmap,
+    maps: QMaps,
+    *,
+    verdict: CriticVerdict | None = None,
+    seconds: dict[str, float],
+) -> Decision:
+    """To do what was chosen from these maps."""
+    return Decision(
+        primitive=to_primitive(choice, heightmap),
+        rotation=choice.rotation,
+        row=choice.row,
+        col=choice.col,
+        q=choice.q,
+        maps=maps,
+        verdict=verdict,
+        seconds=seconds,
+    )
 
 
 def to_primitive(choice: Choice, heightmap: Heightmap) -> Primitive:

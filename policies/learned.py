@@ -11,7 +11,7 @@ import torch
 
 from policies.coordinator import coordinated
 from policies.critics import critic_one, critic_two
-from policies.decide import best_grasps, best_push, to_primitive
+from policies.decide import best_grasps, best_push, decided
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
 from policies.masks import allowed
@@ -81,16 +81,7 @@ class LearnedPolicy:
                 p_success=tuple(p_success.tolist()), overruled=agreed.kind != chosen.kind
             )
             chosen = agreed
-        return Decision(
-            primitive=to_primitive(chosen, heightmap),
-            rotation=chosen.rotation,
-            row=chosen.row,
-            col=chosen.col,
-            q=chosen.q,
-            maps=maps,
-            verdict=verdict,
-            seconds=seconds,
-        )
+        return decided(chosen, heightmap, maps, verdict=verdict, seconds=seconds)
 
     def _valued(self, heightmap: Heightmap) -> tuple[QMaps, torch.Tensor]:
         """Critic I's maps and features. The last ones are kept: when a plan is refused, the same

@@ -7,7 +7,6 @@ Records follow from seed and number alone, so a course that was killed goes on.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +45,7 @@ from tools.train.randomize import randomized
 from tools.train.rollout import goals
 from tools.train.run import WEIGHTS, started_with
 from tools.train.trainer import training_cell
+from tools.train.whole import written_whole
 
 RECORD = 50  # grasps in one file
 CLUSTERED = 0.5  # share of the tables; else heaps of ...
@@ -127,10 +127,8 @@ def toss(task: CoinTask) -> Path:
                 result = run_episode(cell, note, rng=rng, log=note, goal=True)
                 if len(note.succeeded) >= task.grasps or result.reason is EndReason.DEVICE_ERROR:
                     break  # an arm that is caught is freed by hand; here, by another cell
-    part = task.file.with_name(task.file.name + ".part")
-    with part.open("wb") as file:
+    with written_whole(task.file) as file:
         np.savez(file, situations=note.situations, succeeded=note.succeeded)
-    os.replace(part, task.file)
     return task.file
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from policies.decide import Choice, best_grasps, best_push, to_primitive
+from policies.decide import Choice, best_grasps, best_push, decided
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision, QMaps
@@ -57,15 +56,7 @@ class Exploring:
 
 def with_choice(decision: Decision, choice: Choice, heightmap: Heightmap) -> Decision:
     """The decision, but for what is done: nobody was asked about it."""
-    return replace(
-        decision,
-        primitive=to_primitive(choice, heightmap),
-        rotation=choice.rotation,
-        row=choice.row,
-        col=choice.col,
-        q=choice.q,
-        verdict=None,
-    )
+    return decided(choice, heightmap, decision.maps, seconds=decision.seconds)
 
 
 def _best_grasp(maps: QMaps, heightmap: Heightmap, rng: np.random.Generator) -> Choice | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from pickle import UnpicklingError
@@ -30,6 +29,7 @@ from tools.train.learner import Learner
 from tools.train.notebook import Experience
 from tools.train.replay import Replay
 from tools.train.rollout import RolloutTask
+from tools.train.whole import written_whole
 
 STATE = "state.pt"
 WEIGHTS = "policy.safetensors"
@@ -177,9 +177,8 @@ class Run:
             "updates": self._updates,
             "start": self._start,
         }
-        part = self._directory / (STATE + ".part")
-        torch.save(state, part)
-        os.replace(part, self._directory / STATE)
+        with written_whole(self._directory / STATE) as file:
+            torch.save(state, file)
         self.freeze()
 
     @property

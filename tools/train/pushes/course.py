@@ -7,7 +7,6 @@ after the one before, so a course that was killed goes on as if it had not been.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from tools.train.pushes.play import PushRecord, PushTask, play_pushes
 from tools.train.pushes.teach import Teacher
 from tools.train.run import STATE, WEIGHTS, started_with
 from tools.train.trainer import training_cell
+from tools.train.whole import written_whole
 
 Logits = npt.NDArray[np.float32]
 
@@ -65,7 +65,8 @@ def teach_pushes(
     for number, each in enumerate(course.rounds):
         chooser = directory / f"push_net-{number}.pt" if number else None
         if chooser is not None and not chooser.exists():
-            _save_whole(teacher.network.state_dict(), chooser)
+            with written_whole(chooser) as file:
+                torch.save(teacher.network.state_dict(), file)
         for record in _play(course, each, len(played), chooser, directory):
             played.append(record)
             on_progress("pushes played", RECORD * len(played), course.pushes)
@@ -197,14 +198,8 @@ def _restore(directory: Path, teacher: Teacher) -> int:
 
 
 def _save(directory: Path, teacher: Teacher, epoch: int) -> None:
-    _save_whole({"teacher": teacher.state(), "epoch": epoch}, directory / STATE)
-
-
-def _save_whole(state: dict[str, Any], path: Path) -> None:
-    """Whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    torch.save(state, part)
-    os.replace(part, path)
+    with written_whole(directory / STATE) as file:
+        torch.save({"teacher": teacher.state(), "epoch": epoch}, file)
 
 
 def _freeze(

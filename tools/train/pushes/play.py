@@ -5,7 +5,6 @@ A pure function of its task, in a process of its own: same task, same record.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -43,6 +42,7 @@ from tools.train.config import Randomization
 from tools.train.pushes.free import Flags, Owners, free, look, on_table, taken_by_grasps
 from tools.train.randomize import randomized
 from tools.train.replay import pack_height
+from tools.train.whole import written_whole
 
 Place: TypeAlias = tuple[int, int, int]  # rotation, row, column
 
@@ -94,11 +94,8 @@ class PushRecord:
     taken_after: npt.NDArray[np.bool_]
 
     def save(self, path: Path) -> None:
-        """Whole or not at all."""
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
+        with written_whole(path) as file:
             np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
-        os.replace(part, path)
 
     @classmethod
     def load(cls, path: Path) -> PushRecord:
