@@ -53,7 +53,7 @@ class LearnedPolicy:
         with _timed(seconds, "critic_one"):
             maps, features = self._valued(heightmap)
         with _timed(seconds, "choose"):
-            maps = allowed(maps, heightmap, avoid)
+            maps = allowed(maps, heightmap, avoid, promising=self.method.promising)
             sure = maps.sure if self.method.sure_first else None
             grasps = best_grasps(
                 maps, rng, goal=heightmap.goal, sure=sure, count=self.method.considered

@@ -28,10 +28,16 @@ class AllowedMaps(QMaps):
     sure: Mask
 
 
-def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) -> AllowedMaps:
+def allowed(
+    maps: QMaps,
+    heightmap: Heightmap,
+    avoid: Sequence[Primitive] = (),
+    *,
+    promising: bool = True,
+) -> AllowedMaps:
     """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
-    squeeze out what they close on are allowed when nothing else is left. Of pushes only the most
-    promising kind that is left."""
+    squeeze out what they close on are allowed when nothing else is left. promising: of pushes only
+    the most promising kind that is left; else all of them."""
     ground = under_open_gripper(heightmap)
     grasp = np.where(graspable(heightmap, ground), maps.grasp, np.float32(-np.inf))
     for primitive in avoid:
@@ -40,7 +46,7 @@ def allowed(maps: QMaps, heightmap: Heightmap, avoid: Sequence[Primitive] = ()) 
             for side in (rotation, rotation + HALF_TURN):
                 strike_out(grasp, side, row, col)
     pushes = [primitive for primitive in avoid if isinstance(primitive, Push)]
-    push = _pushes(maps.push, heightmap, pushes)
+    push = _pushes(maps.push, heightmap, pushes, promising)
     half = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
     held = np.where(np.concatenate((half, half)) <= MAX_WEDGE, grasp, np.float32(-np.inf))
     nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
@@ -59,12 +65,13 @@ def graspable(heightmap: Heightmap, ground: Ground) -> Mask:
     return np.concatenate((half, half))
 
 
-def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push]) -> Map:
-    """The values of the first kind of pushes of which any are left."""
+def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push], promising: bool) -> Map:
+    """The values of the first kind of pushes of which any are left, or of all that are allowed."""
     left = np.full_like(values, -np.inf)
     if np.isneginf(values).all():
         return left  # a policy that does not push
-    for mask in pushable(heightmap):
+    kinds = list(pushable(heightmap))
+    for mask in kinds if promising else kinds[-1:]:
         left = np.where(mask, values, np.float32(-np.inf))
         for push in avoid:
             strike_out(left, *_entry(push, heightmap))

@@ -31,8 +31,9 @@ class Method:
     None: it has no say. judge_for_goal: in its stead when a goal is to be fetched, if it differs.
     considered: how many grasps all are shown; with a goal, as many on it and as many of what is in
     its way. sure_first: of each, as many that surely hold what they close on, and after them as
-    many of the others. push_from: the value from which on a push is made for a goal before anything
-    is lifted that is in its way."""
+    many of the others. promising: of pushes only the most promising kind is considered.
+    push_from: the value from which on a push is made for a goal before anything is lifted that is
+    in its way."""
 
     name: str
     choose: Rule | None
@@ -41,6 +42,7 @@ class Method:
     judge_for_goal: Judge | None = None
     considered: int = CONSIDERED
     sure_first: bool = False
+    promising: bool = True
     push_from: float = np.inf
 
     def judge_of(self, heightmap: Heightmap) -> Judge | None:
@@ -71,7 +73,7 @@ def free_the_goal(
 
 
 SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is pushed for above
-SURE_OF_GOAL = 0.7  # and with a goal: what lies in a heap fails more often than Critic II believes
+SURE_OF_GOAL = 0.8  # and with a goal: what lies in a heap fails more often than Critic II believes
 FREES = 0.6  # share of pushes like it that free a goal, from which on one is made at once
 FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
 
@@ -96,4 +98,6 @@ METHODS = {
         ),
     )
 }
-METHODS["tdpg-free"] = replace(METHODS["tdpg-sure"], name="tdpg-free", push_from=FREES)
+METHODS["tdpg-free"] = replace(
+    METHODS["tdpg-sure"], name="tdpg-free", promising=False, push_from=FREES
+)

@@ -24,7 +24,7 @@ from policies.standing import RISE
 _STRIDE = 4  # pixels of the picture to one of PushNet's values
 _CELLS = round(PUSH_LENGTH / 2 / PIXEL / _STRIDE)
 AHEAD = _CELLS * _STRIDE  # pixels from a push's start to the middle of its way
-_WIDTHS = (16, 32, 48)  # channels at stride 2, 4, 8
+_WIDTHS = (32, 64, 96)  # channels at stride 2, 4, 8
 _DILATIONS = (1, 2, 2)
 
 

@@ -14,6 +14,7 @@ from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.masks import allowed, graspable
 from policies.policy import ROTATIONS, QMaps
 from policies.primitives import Grasp, Push
+from policies.pushable import pushable
 from policies.standing import Map, Mask
 
 SHAPE = (ROTATIONS, SIZE, SIZE)
@@ -176,3 +177,17 @@ def test_a_grasp_surely_holds_the_middle_of_a_side_and_not_an_end_askew() -> Non
     doubtful = is_allowed(maps.grasp[:8]) & ~maps.sure
     assert doubtful[7, 110, 115]  # one pad reaches round a corner
     assert not (maps.sure & ~is_allowed(maps.grasp[:8])).any()
+
+
+def test_all_pushes_are_considered_or_the_most_promising_kind_of_them() -> None:
+    heightmap = table_with(BLOCK)
+    first, *_, every = pushable(heightmap)
+    assert first.sum() < every.sum()
+    promising = allowed(zeros(), heightmap).push
+    np.testing.assert_array_equal(is_allowed(promising), first)
+    whole = allowed(zeros(), heightmap, promising=False).push
+    np.testing.assert_array_equal(is_allowed(whole), every)
+    _, row, col = np.argwhere(every[:1])[0]
+    x, y = (float(at) for at in heightmap.workspace.to_base(row, col))
+    avoid = [Push(x=x, y=y, z=0.0, yaw=0.0)]
+    assert not is_allowed(allowed(zeros(), heightmap, avoid, promising=False).push)[0, row, col]

@@ -21,7 +21,7 @@ def test_the_papers_methods_exist() -> None:
 
 
 @pytest.mark.parametrize(
-    ("p", "goal", "expected"), [(0.65, 0, GRASP), (0.65, 1, PUSH), (0.7, 1, GRASP)]
+    ("p", "goal", "expected"), [(0.65, 0, GRASP), (0.75, 1, PUSH), (0.8, 1, GRASP)]
 )
 def test_critic_two_must_be_surer_when_a_goal_is_fetched(
     p: float, goal: bool, expected: Choice

@@ -167,7 +167,8 @@ class PushRound(_Section):
 
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
-    updates: int = Field(ge=1)
+    knots: bool = Field(False, description="for goals that are hemmed in, most of them explored")
+    updates: int = Field(ge=0)
     learning_rate: float = Field(1e-3, gt=0)
 
 

@@ -7,19 +7,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.ndimage
 import torch
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.networks.light import LightNet
 from policies.networks.twin import PushNet
 from policies.networks.two_towers import TwoTowerNet
+from policies.standing import RISE
+from tdpg_deploy.choosing import GOAL_PIXELS
 from tdpg_deploy.errors import ConfigError
 from tools.train import hold_out
 from tools.train.config import PushCourse, PushRound, Randomization
 from tools.train.curve import read_curve
 from tools.train.pushes import course as courses
 from tools.train.pushes.course import teach_pushes
-from tools.train.pushes.play import PushRecord, PushTask, play_pushes
+from tools.train.pushes.play import (
+    HEMMED_IN,
+    PUSHES_A_LOOK,
+    PushRecord,
+    PushTask,
+    play_pushes,
+)
+from tools.train.replay import unpack_height
 from tools.train.trainer import training_cell
 
 
@@ -133,6 +143,23 @@ def test_a_push_net_chooses_its_best_pushes(tmp_path: Path) -> None:
     )
     record = PushRecord.load(play_pushes(task))
     assert len(np.unique(record.pushes, axis=0)) == len(record.pushes)
+
+
+@pytest.mark.slow
+def test_knots_are_looks_at_something_that_is_hemmed_in(tmp_path: Path) -> None:
+    """And pushes are for its sake: they meet it or what stands near it."""
+    task = dataclasses.replace(task_for(tmp_path / "knots.npz", pushes=8), compact=1.0, knots=True)
+    record = PushRecord.load(play_pushes(task))
+    for look, objects in enumerate(record.objects):
+        owners, tall = record.owners[look], unpack_height(record.heights[look]) > RISE
+        hemmed_in = 0.0
+        for goal in np.flatnonzero(~record.free[look, :objects]):
+            around = scipy.ndimage.binary_dilation(owners == goal, np.ones((11, 11), np.bool_))
+            around &= owners != goal
+            if (owners == goal).sum() >= GOAL_PIXELS:
+                hemmed_in = max(hemmed_in, float(tall[around].mean()))
+        assert hemmed_in >= HEMMED_IN
+    assert np.bincount(record.pushes[:, 0]).max() > PUSHES_A_LOOK
 
 
 def test_a_course_begins_with_a_light_network(small: None, tmp_path: Path) -> None:

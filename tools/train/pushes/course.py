@@ -154,6 +154,7 @@ def _play(
             file=directory / f"{number:04d}.npz",
             chooser=chooser,
             compact=each.compact,
+            knots=each.knots,
         )
         for number in range(first, first + math.ceil(each.pushes / RECORD))
     ]

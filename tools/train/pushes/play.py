@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from policies.border import border_occupancy
 from policies.decide import Choice, best, to_primitive
 from policies.heightmap import SIZE, Heightmap, Workspace
 from policies.learned import fastest_dtype
@@ -53,6 +55,9 @@ STUCK = (
 )
 FOR_A_GOAL = 0.4  # share of the pushes there that are made for one object's sake
 PUSHES_A_LOOK = 3
+HEMMED_IN = 0.65  # part of a goal's border that is occupied, from which on it is hemmed in ...
+PUSHES_A_KNOT = 6  # from a look at one that is, for most of them free nothing ...
+EXPLORED = 0.6  # share of them that are any that are allowed: what frees it is hard to foretell
 KINDS = (0.3, 0.4, 0.3)  # shares of pushes by how promising their kind is (policies/pushable.py)
 GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 
@@ -61,7 +66,8 @@ GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 class PushTask:
     """Play until so many pushes were made; write the record to `file`. chooser: weights of a
     PushNet, of whose best pushes each look's are made; None: any that are allowed. compact: share
-    of the clusters that grow compact."""
+    of the clusters that grow compact. knots: only looks at something that is hemmed in are kept,
+    and pushes are for what is so most."""
 
     cell: CellConfig
     randomization: Randomization
@@ -70,6 +76,7 @@ class PushTask:
     file: Path
     chooser: Path | None = None
     compact: float = 0.0
+    knots: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,17 +116,30 @@ class _Look:
     owners: Owners
     free: Flags
     stuck: bool
+    knot: bool  # pushes are for the goal that is most hemmed in
 
     def aimed(self, rng: np.random.Generator) -> Heightmap | None:
         """At all that stands there, or at an object that no grasp could take: its goal."""
+        if self.knot:
+            return self.most_hemmed_in()
         if self.stuck and rng.random() >= FOR_A_GOAL:
             return self.heightmap
+        goals = self._goals()
+        return self._at(rng.choice(goals)) if goals.size else None
+
+    def most_hemmed_in(self) -> Heightmap | None:
+        """Aimed at that goal; None where nothing is HEMMED_IN."""
+        aimed = max(map(self._at, self._goals()), key=border_occupancy, default=None)
+        return None if aimed is None or border_occupancy(aimed) < HEMMED_IN else aimed
+
+    def _at(self, goal: int) -> Heightmap:
+        return replace(self.heightmap, goal=self.owners == goal)
+
+    def _goals(self) -> npt.NDArray[np.intp]:
+        """Objects that are seen, and that no grasp could take."""
         objects = len(self.free)
         shown = np.bincount(self.owners[self.owners >= 0], minlength=objects) >= GOAL_PIXELS
-        goals = np.flatnonzero(shown & ~self.free)
-        if not goals.size:
-            return None
-        return replace(self.heightmap, goal=self.owners == rng.choice(goals))
+        return np.flatnonzero(shown & ~self.free)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,13 +162,15 @@ def play_pushes(task: PushTask) -> Path:
     cv2.setNumThreads(1)  # one core a worker
     torch.set_num_threads(1)
     choose = any_of_a_kind if task.chooser is None else Chooser(task.chooser)
+    if task.knots:
+        choose = partial(any_of_a_kind_or, choose)
     rng = np.random.default_rng(task.seed)
     looks: list[_Look] = []
     pushes: list[tuple[int, _Pushed]] = []
     while len(pushes) < task.pushes:
         config = randomized(task.cell, task.randomization, rng)
         try:
-            seen, pushed = _try_table(config, choose, task.compact, rng)
+            seen, pushed = _try_table(config, choose, task, rng)
         except (SceneError, DeviceError):
             continue  # too much for the table, or an arm that is caught: another table
         if pushed:
@@ -171,18 +193,24 @@ def random_table(workspace: Workspace, compact: float, rng: np.random.Generator)
 
 
 def _try_table(
-    config: CellConfig, choose: Choose, compact: float, rng: np.random.Generator
+    config: CellConfig, choose: Choose, task: PushTask, rng: np.random.Generator
 ) -> tuple[_Look, list[_Pushed]]:
     """One look, and pushes that begin from it: each on a table of its own that is laid the same."""
-    scene, stuck = _settled(config, compact, rng)
+    scene, stuck = _settled(config, task.compact, rng)
     seen: _Look | None = None
     pushed = []
-    for _ in range(PUSHES_A_LOOK):
+    for _ in range(PUSHES_A_KNOT if task.knots else PUSHES_A_LOOK):
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
             if seen is None:
                 heightmap, owners = look(cell)
                 now_free = free(heightmap, owners, len(scene.objects))
-                seen = _Look(heightmap=heightmap, owners=owners, free=now_free, stuck=stuck)
+                seen = _Look(
+                    heightmap=heightmap,
+                    owners=owners,
+                    free=now_free,
+                    stuck=stuck,
+                    knot=task.knots,
+                )
             place = choose(seen, rng)
             if place is None:
                 break
@@ -222,6 +250,11 @@ def any_of_a_kind(seen: _Look, rng: np.random.Generator) -> Place | None:
         return None
     shares = KINDS if aimed.goal is None else GOAL_KINDS
     return _of_kinds(list(pushable(aimed)), shares, rng)
+
+
+def any_of_a_kind_or(choose: Choose, seen: _Look, rng: np.random.Generator) -> Place | None:
+    """EXPLORED of them any of a kind."""
+    return any_of_a_kind(seen, rng) if rng.random() < EXPLORED else choose(seen, rng)
 
 
 class Chooser:
