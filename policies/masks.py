@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,8 +70,8 @@ def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push], promising:
     left = np.full_like(values, -np.inf)
     if np.isneginf(values).all():
         return left  # a policy that does not push
-    kinds = list(pushable(heightmap))
-    for mask in kinds if promising else kinds[-1:]:
+    kinds: Iterable[Mask] = pushable(heightmap)
+    for mask in kinds if promising else [*kinds][-1:]:
         left = np.where(mask, values, np.float32(-np.inf))
         for push in avoid:
             strike_out(left, *_entry(push, heightmap))
