@@ -7,7 +7,6 @@ from torch import nn
 
 from policies import state
 from policies.heightmap import PIXEL, SIZE
-from policies.networks.light import LightNet
 from policies.networks.twin import AHEAD, PushNet, TwinNet, all_that_rises
 from policies.primitives import PUSH_LENGTH
 from policies.rotation import back_to_map, patches, pictures, sample
