@@ -184,6 +184,12 @@ class PushCourse(_Section):
     batch: int = Field(64, ge=1)
     weight_decay: float = Field(1e-3, ge=0)
 
+    @model_validator(mode="after")
+    def _teaches(self) -> PushCourse:
+        if self.updates == 0:
+            raise ValueError("no round has updates: nothing would be learnt")
+        return self
+
     @property
     def pushes(self) -> int:
         """Of the whole course."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 import torch
+from pydantic import ValidationError
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.networks.light import LightNet
@@ -170,6 +171,13 @@ def test_a_course_begins_with_a_light_network(small: None, tmp_path: Path) -> No
     save_checkpoint(dense, TwoTowerNet(goal=False), config, {})
     with pytest.raises(ConfigError, match="begin with a light or a twin one"):
         teach_pushes(course_from(dense), tmp_path, tmp_path, on_progress=print)
+
+
+def test_a_course_teaches_something() -> None:
+    played = PushRound(pushes=6, updates=0)
+    PushCourse(course="pushes", rounds=(played, PushRound(pushes=6, updates=1)))
+    with pytest.raises(ValidationError, match="nothing would be learnt"):
+        PushCourse(course="pushes", rounds=(played,))
 
 
 def test_a_directory_belongs_to_one_course(small: None, grasps: Path, tmp_path: Path) -> None:
