@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from ur_rig import new_host, processes_of, wait_until
 
-from policies.decide import best_grasps, to_primitive
+from policies.decide import best_grasps, decided
 from policies.errors import NoActionError
 from policies.heightmap import SIZE, Heightmap
 from policies.masks import allowed
@@ -117,13 +117,4 @@ class TallestGrasp:
         if not grasps:
             raise NoActionError("nothing to grasp")
         (grasp,) = grasps
-        return Decision(
-            primitive=to_primitive(grasp, heightmap),
-            rotation=grasp.rotation,
-            row=grasp.row,
-            col=grasp.col,
-            q=grasp.q,
-            maps=maps,
-            verdict=None,
-            seconds={},
-        )
+        return decided(grasp, heightmap, maps, seconds={})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -121,13 +121,14 @@ class _Look:
     def aimed(self, rng: np.random.Generator) -> Heightmap | None:
         """At all that stands there, or at an object that no grasp could take: its goal."""
         if self.knot:
-            return self.most_hemmed_in()
+            return self._most_hemmed_in
         if self.stuck and rng.random() >= FOR_A_GOAL:
             return self.heightmap
         goals = self._goals()
         return self._at(rng.choice(goals)) if goals.size else None
 
-    def most_hemmed_in(self) -> Heightmap | None:
+    @cached_property
+    def _most_hemmed_in(self) -> Heightmap | None:
         """Aimed at that goal; None where nothing is HEMMED_IN."""
         aimed = max(map(self._at, self._goals()), key=border_occupancy, default=None)
         return None if aimed is None or border_occupancy(aimed) < HEMMED_IN else aimed
