@@ -131,6 +131,22 @@ def choose_if_sure(
     return next(sure, grasps[int(np.argmax(p_success))] if push is None else push)
 
 
+def choose_surest(
+    _chosen: Choice,
+    grasps: Sequence[Choice],
+    push: Choice | None,
+    p_success: npt.NDArray[np.float64],
+    *,
+    least: float,
+) -> Choice:
+    """The grasp to which Critic II gives most, if that is `least` or more, else the best push. For
+    a Critic II that was taught by grasps that it was not sure of: any other is most wrong about
+    the one that looks best. Where no push is allowed, the surest grasp is made.
+    """
+    surest = int(np.argmax(p_success))
+    return grasps[surest] if push is None or p_success[surest] >= least else push
+
+
 # --- from the map to the world ----------------------------------------------------------------
 
 

@@ -7,11 +7,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from policies.coordinator import coordinated
 from policies.critics import critic_one, critic_two
-from policies.decide import best_grasps, best_push, decided
+from policies.decide import Choice, best_grasps, best_push, decided
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
 from policies.masks import allowed
@@ -51,9 +52,15 @@ class LearnedPolicy:
     ) -> Decision:
         seconds: dict[str, float] = {}
         with _timed(seconds, "critic_one"):
-            maps, features = self._valued(heightmap)
+            maps, _ = self._valued(heightmap)
         with _timed(seconds, "choose"):
-            maps = allowed(maps, heightmap, avoid, promising=self.method.promising)
+            maps = allowed(
+                maps,
+                heightmap,
+                avoid,
+                promising=self.method.promising,
+                wedged=self.method.wedged,
+            )
             sure = maps.sure if self.method.sure_first else None
             grasps = best_grasps(
                 maps, rng, goal=heightmap.goal, sure=sure, count=self.method.considered
@@ -75,13 +82,19 @@ class LearnedPolicy:
         judge = self.method.judge_of(heightmap)
         if judge is not None and grasps:
             with _timed(seconds, "critic_two"):
-                p_success = critic_two(self._network, features, grasps)
+                p_success = self.p_success(heightmap, grasps)
                 agreed = judge(chosen, grasps, push, p_success)
             verdict = CriticVerdict(
                 p_success=tuple(p_success.tolist()), overruled=agreed.kind != chosen.kind
             )
             chosen = agreed
         return decided(chosen, heightmap, maps, verdict=verdict, seconds=seconds)
+
+    @torch.inference_mode()
+    def p_success(self, heightmap: Heightmap, grasps: Sequence[Choice]) -> npt.NDArray[np.float64]:
+        """What Critic II gives any grasps, (n,)."""
+        _, features = self._valued(heightmap)
+        return critic_two(self._network, features, grasps)
 
     def _valued(self, heightmap: Heightmap) -> tuple[QMaps, torch.Tensor]:
         """Critic I's maps and features. The last ones are kept: when a plan is refused, the same

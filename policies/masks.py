@@ -34,10 +34,11 @@ def allowed(
     avoid: Sequence[Primitive] = (),
     *,
     promising: bool = True,
+    wedged: bool = False,
 ) -> AllowedMaps:
-    """The maps with -inf where no action is allowed, or one of `avoid` is near. Grasps that would
-    squeeze out what they close on are allowed when nothing else is left. promising: of pushes only
-    the most promising kind that is left; else all of them."""
+    """The maps with -inf where no action is allowed, or one of `avoid` is near. promising: of
+    pushes only the most promising kind that is left; else all of them. wedged: grasps that may
+    squeeze out what they close on are allowed; else they are when nothing else is left."""
     ground = under_open_gripper(heightmap)
     grasp = np.where(graspable(heightmap, ground), maps.grasp, np.float32(-np.inf))
     for primitive in avoid:
@@ -49,8 +50,8 @@ def allowed(
     push = _pushes(maps.push, heightmap, pushes, promising)
     half = wedges(heightmap, np.isfinite(grasp[:HALF_TURN]), ground.highest)
     held = np.where(np.concatenate((half, half)) <= MAX_WEDGE, grasp, np.float32(-np.inf))
-    nothing_else = np.isneginf(held).all() and np.isneginf(push).all()
-    grasp = grasp if nothing_else else held
+    if not wedged and (np.isfinite(held).any() or np.isfinite(push).any()):
+        grasp = held
     return AllowedMaps(push=push, grasp=grasp, sure=half <= SURE_WEDGE)
 
 

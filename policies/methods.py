@@ -16,6 +16,7 @@ from policies.decide import (
     choose_by_critic_one,
     choose_by_critic_two,
     choose_if_sure,
+    choose_surest,
 )
 from policies.heightmap import Heightmap
 
@@ -31,7 +32,8 @@ class Method:
     None: it has no say. judge_for_goal: in its stead when a goal is to be fetched, if it differs.
     considered: how many grasps all are shown; with a goal, as many on it and as many of what is in
     its way. sure_first: of each, as many that surely hold what they close on, and after them as
-    many of the others. promising: of pushes only the most promising kind is considered.
+    many of the others. promising: of pushes only the most promising kind is considered. wedged: of
+    grasps those too that may squeeze out what they close on.
     push_from: the value from which on a push is made for a goal before anything is lifted that is
     in its way."""
 
@@ -43,6 +45,7 @@ class Method:
     considered: int = CONSIDERED
     sure_first: bool = False
     promising: bool = True
+    wedged: bool = False
     push_from: float = np.inf
 
     def judge_of(self, heightmap: Heightmap) -> Judge | None:
@@ -76,6 +79,10 @@ SURE = 0.6  # P_success from which on a grasp is made: more fail below, more is 
 SURE_OF_GOAL = 0.8  # and with a goal: what lies in a heap fails more often than Critic II believes
 FREES = 0.6  # share of pushes like it that free a goal, from which on one is made at once
 FEW = 3  # grasps: the one of many that looks best is the one that Critic II is most wrong about
+# And where Critic II was taught by grasps that it was not sure of:
+SURE_WHEN_TAUGHT = 0.84
+SURE_OF_GOAL_WHEN_TAUGHT = 0.9
+MORE = 6
 
 # At decision time VPG and TDPG-base (Critic I alone) differ in nothing but their training.
 METHODS = {
@@ -99,5 +106,12 @@ METHODS = {
     )
 }
 METHODS["tdpg-free"] = replace(
-    METHODS["tdpg-sure"], name="tdpg-free", promising=False, push_from=FREES
+    METHODS["tdpg-sure"],
+    name="tdpg-free",
+    judge=partial(choose_surest, least=SURE_WHEN_TAUGHT),
+    judge_for_goal=partial(choose_if_sure, least=SURE_OF_GOAL_WHEN_TAUGHT),
+    considered=MORE,
+    promising=False,
+    wedged=True,
+    push_from=FREES,
 )

@@ -24,7 +24,7 @@ WIDTHS = {
 # Weights of first layers, whose last input channel is the goal mask where there is one.
 ENTRANCES = {
     "light": ("stem.weight",),
-    "twin": ("light.stem.weight",),
+    "twin": (),  # its weights do not depend on it
     "coordinated": ("light.stem.weight",),
     "densenet121": tuple(
         f"{tower}.features.conv0.weight" for tower in ("color_tower", "depth_tower")

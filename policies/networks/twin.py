@@ -3,7 +3,8 @@
 What a grasp is worth shows within a gripper's reach. What a push frees depends on all that it
 sets in motion: so its value is read from the features around the middle of its way, which know
 166 pixels (33 cm), and learning it leaves grasps as they are. It is always asked to free something:
-a goal, or all that stands on the table.
+a goal, or all that stands on the table. What a grasp is worth depends on no goal: so the same
+weights clear tables and fetch what they are told to.
 """
 
 from __future__ import annotations
@@ -29,22 +30,23 @@ _DILATIONS = (1, 2, 2)
 
 
 class TwinNet(Network):
-    """goal, width: as in LightNet."""
+    """goal: take the goal mask as a seventh channel, which only pushes are asked about; weights of
+    one are weights of the other. width: as in LightNet."""
 
     STRIDE = 8
     PATCH = 256  # pixels; holds what a push's value depends on, around its start
 
     def __init__(self, *, goal: bool, width: int = 16) -> None:
         super().__init__()
-        self.light = LightNet(goal=goal, width=width)
+        self.light = LightNet(goal=False, width=width)
         self.push_net = PushNet()
-        self._goal = goal
+        self.goal = goal
 
     def forward(self, picture: torch.Tensor) -> Maps:
         """(n, 6 or 7, h, w), h and w multiples of 8 -> values at stride 4 of pushes, 2 of grasps.
         A push is worth the share of what is asked for that it frees: 0 to 1."""
-        aimed = picture if self._goal else torch.cat((picture, all_that_rises(picture)), 1)
-        maps = self.light(picture)
+        aimed = picture if self.goal else torch.cat((picture, all_that_rises(picture)), 1)
+        maps = self.light(picture[:, : state.GOAL])
         return Maps(push=self.push_net.values(aimed), grasp=maps.grasp, features=maps.features)
 
     def evaluate(self, features: torch.Tensor, places: torch.Tensor) -> torch.Tensor:

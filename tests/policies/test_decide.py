@@ -13,6 +13,7 @@ from policies.decide import (
     choose_by_critic_one,
     choose_by_critic_two,
     choose_if_sure,
+    choose_surest,
     to_primitive,
 )
 from policies.heightmap import SIZE
@@ -147,6 +148,22 @@ def test_what_is_in_the_goals_way_is_lifted_where_that_is_sure(
     p_success: list[float], expected: Choice
 ) -> None:
     judged = choose_if_sure(TEN[0], TEN[:2], PUSH, np.array(p_success), least=0.9)
+    assert judged is expected
+
+
+@pytest.mark.parametrize(
+    ("p_success", "push", "expected"),
+    [
+        ([0.9, 0.99, 0.95], PUSH, TEN[1]),
+        ([0.2, 0.89, 0.9], PUSH, TEN[2]),
+        ([0.89, 0.5, 0.2], PUSH, PUSH),
+        ([0.2, 0.4, 0.3], None, TEN[1]),
+    ],
+)
+def test_the_surest_grasp_is_made_if_it_is_sure_enough(
+    p_success: list[float], push: Choice | None, expected: Choice
+) -> None:
+    judged = choose_surest(TEN[0], TEN[:3], push, np.array(p_success), least=0.9)
     assert judged is expected
 
 

@@ -8,6 +8,7 @@ import torch
 from tables import goal_at, table_with
 
 from policies import state
+from policies.decide import best_grasps
 from policies.errors import HeightmapError, NoActionError
 from policies.heightmap import SIZE, Heightmap
 from policies.learned import LearnedPolicy
@@ -110,17 +111,28 @@ def test_critic_two_swaps_both_ways_and_says_so() -> None:
 def test_a_push_that_frees_the_goal_comes_before_lifting_what_stands_beside_it(
     push_weight: float, expected: type
 ) -> None:
-    """The goal is too wide to be grasped, what stands beside it is not. Red seen ahead makes a push
-    worth 0.28 of the weight."""
+    """The goal is too wide to be grasped but at its corners, what stands beside it is not. Red seen
+    ahead makes a push worth 0.28 of the weight."""
     heightmap = table_with(
         (70, 70, 60, 60, 0.05),
         (90, 132, 20, 15, 0.05),
         goal=goal_at(slice(70, 130), slice(70, 130)),
     )
     network = KnowsWhatItWants(push_weight=push_weight, p_success=0.9)
-    decision = decide(policy_of(network, "tdpg-free"), heightmap)
-    assert isinstance(decision.primitive, expected)
+    method = dataclasses.replace(METHODS["tdpg-free"], wedged=False)
+    policy = LearnedPolicy(network, method, goal=False, dtype=torch.float32)
+    assert isinstance(decide(policy, heightmap).primitive, expected)
+    assert isinstance(decide(policy_of(network, "tdpg-free"), heightmap).primitive, Grasp)
     assert isinstance(decide(policy_of(network, "tdpg-sure"), heightmap).primitive, Grasp)
+
+
+def test_critic_two_says_of_any_grasp_what_it_says_when_it_is_asked() -> None:
+    heightmap = table_with(*CLUTTER)
+    policy = policy_of(trained_light())
+    decision = decide(policy, heightmap)
+    grasps = best_grasps(decision.maps, np.random.default_rng(0))
+    assert decision.verdict is not None
+    assert decision.verdict.p_success == tuple(policy.p_success(heightmap, grasps))
 
 
 def test_the_same_look_gives_the_same_decision_to_the_bit() -> None:

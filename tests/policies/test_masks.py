@@ -191,3 +191,14 @@ def test_all_pushes_are_considered_or_the_most_promising_kind_of_them() -> None:
     x, y = (float(at) for at in heightmap.workspace.to_base(row, col))
     avoid = [Push(x=x, y=y, z=0.0, yaw=0.0)]
     assert not is_allowed(allowed(zeros(), heightmap, avoid, promising=False).push)[0, row, col]
+
+
+def test_a_corner_may_be_closed_on_where_critic_two_is_to_judge_it() -> None:
+    heightmap = table_with((100, 100, 24, 24, 0.05))
+    held, wedged = (allowed(zeros(), heightmap, wedged=wedged) for wedged in (False, True))
+    corner = 6, 104, 104
+    assert not is_allowed(held.grasp)[corner]
+    assert is_allowed(wedged.grasp)[corner]
+    assert not wedged.sure[corner]
+    np.testing.assert_array_equal(wedged.sure, held.sure)
+    assert (is_allowed(wedged.grasp) >= is_allowed(held.grasp)).all()

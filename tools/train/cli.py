@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-    from tools.train.config import CoordinatorCourse, PushCourse, TrainConfig
+    from tools.train.config import CoordinatorCourse, GraspCourse, PushCourse, TrainConfig
     from tools.train.curve import Progress as Round
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
@@ -62,18 +62,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from policies.errors import PolicyError
     from tdpg_deploy.errors import TdpgError
-    from tools.train.config import CoordinatorCourse, PushCourse, load_experiment
+    from tools.train.config import TrainConfig, load_experiment
 
     console = Console()
     try:
         file = args.experiment or EXPERIMENTS / f"{args.stage or 'tdpg'}.toml"
         experiment = load_experiment(file)
-        if isinstance(experiment, PushCourse):
-            policy = _teach(experiment, args, console)
-        elif isinstance(experiment, CoordinatorCourse):
-            policy = _coordinate(experiment, args, console)
-        else:
+        if isinstance(experiment, TrainConfig):
             policy = _train(experiment, args, console)
+        else:
+            policy = _teach(experiment, args, console)
     except (TdpgError, PolicyError) as error:
         console.print(str(error), style="red", markup=False)
         return 2
@@ -114,41 +112,34 @@ def _train(config: TrainConfig, args: argparse.Namespace, console: Console) -> P
         return trainer.train(config, args.out, on_progress=show)
 
 
-def _teach(course: PushCourse, args: argparse.Namespace, console: Console) -> Path:
+def _teach(
+    course: PushCourse | GraspCourse | CoordinatorCourse,
+    args: argparse.Namespace,
+    console: Console,
+) -> Path:
     from tdpg_deploy.errors import ConfigError
-    from tools.train.config import overridden_course
+    from tools.train.config import GraspCourse, PushCourse, overridden_course
+    from tools.train.coordinate import teach_coordinator
+    from tools.train.grasps.course import teach_grasps
     from tools.train.pushes.course import teach_pushes
 
     if args.imagenet is not None:
-        raise ConfigError("--imagenet: a course of pushes has no DenseNet-121")
+        raise ConfigError("--imagenet: a course has no DenseNet-121")
+    if args.pushes is not None and not isinstance(course, PushCourse):
+        raise ConfigError("--pushes: this experiment is no course of pushes")
     course = overridden_course(
-        course, pushes=args.actions, seed=args.seed, workers=args.workers, start=args.start
+        course, tries=args.actions, seed=args.seed, workers=args.workers, start=args.start
     )
     with _bar(console) as bar:
-        task = bar.add_task("pushes played", total=course.pushes)
+        task = bar.add_task("begins", total=None)
 
         def show(what: str, done: int, total: int) -> None:
             bar.update(task, completed=done, total=total, description=what)
 
-        return teach_pushes(course, args.out, args.pushes or args.out, on_progress=show)
-
-
-def _coordinate(course: CoordinatorCourse, args: argparse.Namespace, console: Console) -> Path:
-    from tdpg_deploy.errors import ConfigError
-    from tools.train.config import overridden_coordinator
-    from tools.train.coordinate import teach_coordinator
-
-    if args.imagenet is not None or args.pushes is not None:
-        raise ConfigError("--imagenet, --pushes: a coordinator has neither")
-    course = overridden_coordinator(
-        course, grasps=args.actions, seed=args.seed, workers=args.workers, start=args.start
-    )
-    with _bar(console) as bar:
-        task = bar.add_task("grasps made", total=course.grasps)
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
+        if isinstance(course, PushCourse):
+            return teach_pushes(course, args.out, args.pushes or args.out, on_progress=show)
+        if isinstance(course, GraspCourse):
+            return teach_grasps(course, args.out, on_progress=show)
         return teach_coordinator(course, args.out, on_progress=show)
 
 

@@ -167,7 +167,10 @@ class PushRound(_Section):
 
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
-    knots: bool = Field(False, description="for goals that are hemmed in, most of them explored")
+    knots: bool = Field(False, description="only for goals that are hemmed in")
+    explored: float = Field(
+        0.0, ge=0, le=1, description="share of the pushes that are any, after the first round too"
+    )
     updates: int = Field(ge=0)
     learning_rate: float = Field(1e-3, gt=0)
 
@@ -200,6 +203,39 @@ class PushCourse(_Section):
         return sum(each.updates for each in self.rounds)
 
 
+class GraspRound(_Section):
+    """So many grasps are tried, at looks of which the policy as it is by then is not sure; then it
+    learns from these and all before in so many updates."""
+
+    grasps: int = Field(ge=1)
+    updates: int = Field(ge=1)
+    learning_rate: float = Field(5e-4, gt=0)
+
+
+class GraspCourse(_Section):
+    """GraspNet and Critic II of a policy that clears tables, `start`. compact: share of the
+    clusters that grow compact."""
+
+    course: Literal["grasps"]
+    seed: int = 0
+    start: Path | None = None
+    workers: int = Field(2, ge=1, le=64)
+    rounds: tuple[GraspRound, ...] = Field(min_length=1)
+    compact: float = Field(0.0, ge=0, le=1)
+    randomization: Randomization = Randomization()
+    batch: int = Field(64, ge=1)
+    weight_decay: float = Field(1e-3, ge=0)
+
+    @property
+    def grasps(self) -> int:
+        """Of the whole course."""
+        return sum(each.grasps for each in self.rounds)
+
+    @property
+    def updates(self) -> int:
+        return sum(each.updates for each in self.rounds)
+
+
 class CoordinatorCourse(_Section):
     """GI's coordinator for the critics of a policy that reads a goal, `start`: from so many grasps
     of goals, some sensible and some not."""
@@ -215,7 +251,7 @@ class CoordinatorCourse(_Section):
     learning_rate: float = Field(1e-3, gt=0)
 
 
-Experiment: TypeAlias = TrainConfig | PushCourse | CoordinatorCourse
+Experiment: TypeAlias = TrainConfig | PushCourse | CoordinatorCourse | GraspCourse
 
 
 def load_experiment(path: Path) -> Experiment:
@@ -224,6 +260,7 @@ def load_experiment(path: Path) -> Experiment:
     courses: dict[object, type[Experiment]] = {
         "pushes": PushCourse,
         "coordinator": CoordinatorCourse,
+        "grasps": GraspCourse,
     }
     try:
         fields = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -232,44 +269,29 @@ def load_experiment(path: Path) -> Experiment:
         raise ConfigError(f"{path}: {error}") from error
 
 
+Course = TypeVar("Course", bound=PushCourse | GraspCourse | CoordinatorCourse)
+
+
 def overridden_course(
-    course: PushCourse,
+    course: Course,
     *,
-    pushes: int | None = None,
+    tries: int | None = None,
     seed: int | None = None,
     workers: int | None = None,
     start: Path | None = None,
-) -> PushCourse:
-    """The same course but for what is not None; pushes are those of each round. Raises
-    ConfigError."""
+) -> Course:
+    """The same course but for what is not None; tries are the pushes or grasps of each round.
+    Raises ConfigError."""
     data = course.model_dump()
-    if pushes is not None:
-        for each in data["rounds"]:
-            each["pushes"] = pushes
+    if tries is not None:
+        for each in data.get("rounds", [data]):
+            each["pushes" if isinstance(course, PushCourse) else "grasps"] = tries
     given = {
         "seed": seed,
         "workers": workers,
         "start": None if start is None else start.absolute(),
     }
-    return _validated(PushCourse, data | _not_none(given))
-
-
-def overridden_coordinator(
-    course: CoordinatorCourse,
-    *,
-    grasps: int | None = None,
-    seed: int | None = None,
-    workers: int | None = None,
-    start: Path | None = None,
-) -> CoordinatorCourse:
-    """The same course but for what is not None. Raises ConfigError."""
-    given = {
-        "grasps": grasps,
-        "seed": seed,
-        "workers": workers,
-        "start": None if start is None else start.absolute(),
-    }
-    return _validated(CoordinatorCourse, course.model_dump() | _not_none(given))
+    return _validated(type(course), data | _not_none(given))
 
 
 def overridden(

@@ -133,10 +133,10 @@ def toss(task: CoinTask) -> Path:
 
 
 def teach_coordinator(
-    course: CoordinatorCourse, out: Path, *, on_progress: Callable[[int, int], None]
+    course: CoordinatorCourse, out: Path, *, on_progress: Callable[[str, int, int], None]
 ) -> Path:
     """Play and teach. Returns the policy's file in `out`: the light network of `course.start`
-    with its coordinator. on_progress: is told how many grasps are made, and of how many.
+    with its coordinator. on_progress: is told what is done, how much, and of how much.
 
     Raises ConfigError when `out` belongs to another course, the policy to begin with has no
     light network that reads a goal, or the grasps make one record only.
@@ -157,7 +157,7 @@ def teach_coordinator(
         for file in pool.map(toss, tasks):
             with np.load(file, allow_pickle=False) as record:
                 records.append((record["situations"], record["succeeded"]))
-            on_progress(RECORD * len(records), RECORD * len(tasks))
+            on_progress("grasps made", RECORD * len(records), RECORD * len(tasks))
     kept, held_out = split(records, RECORD)
     torch.manual_seed(course.seed)
     network = CoordinatedNet(goal=True, width=start.config.width)

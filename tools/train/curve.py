@@ -45,9 +45,9 @@ class Progress:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Freed:
-    """What pushes from one look freed, 0 to 1, as a mean over looks: the one that is valued most,
-    any of them, and the best of them."""
+class Compared:
+    """What came of several actions from one look, 0 to 1, as a mean over looks: of the one that is
+    valued most, of any of them, and of the best of them."""
 
     chosen: float
     any: float
@@ -60,19 +60,27 @@ class PushValidation:
     free; all: which share of a table needs no other push. None: of nothing."""
 
     loss: float
-    goal: Freed | None
-    all: Freed | None
+    goal: Compared | None
+    all: Compared | None
 
 
 @dataclass(frozen=True, kw_only=True)
-class PushProgress:
-    """What an epoch of a course of pushes brought. actions: updates so far."""
+class GraspValidation:
+    """By grasps of tables held out. loss: binary cross-entropy. held: how often."""
+
+    loss: float
+    held: Compared | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CourseProgress:
+    """What an epoch of a course brought. actions: updates so far."""
 
     round: int
     actions: int
     learning_rate: float
     loss: float
-    validation: PushValidation
+    validation: PushValidation | GraspValidation
 
 
 class Curve:
@@ -97,7 +105,7 @@ class Curve:
     ) -> None:
         self._events.close()
 
-    def add(self, progress: Progress | PushProgress) -> None:
+    def add(self, progress: Progress | CourseProgress) -> None:
         line = dataclasses.asdict(progress)
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")

@@ -21,6 +21,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("run", type=Path, metavar="RUN_DIR", help="--out of tdpg-train")
     p.add_argument("out", type=Path, metavar="OUT.safetensors")
     p.add_argument("--method", metavar="NAME", help="that the policy decides by, not the run's")
+    p.add_argument(
+        "--goal", action="store_true", help="as a policy that fetches: a twin's weights do both"
+    )
     p.add_argument("--note", default="", metavar="TEXT", help="for the card")
     return p
 
@@ -35,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     console = Console()
     try:
-        sha256 = export(args.run, args.out, method=args.method, note=args.note)
+        sha256 = export(args.run, args.out, method=args.method, goal=args.goal, note=args.note)
     except (PolicyError, TdpgError) as error:
         console.print(str(error), style="red", markup=False)
         return 2
@@ -43,8 +46,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def export(run: Path, out: Path, *, method: str | None = None, note: str = "") -> str:
-    """method: see `methods.METHODS`; the run's when not given. Returns the policy's SHA-256.
+def export(
+    run: Path, out: Path, *, method: str | None = None, goal: bool = False, note: str = ""
+) -> str:
+    """method: see `methods.METHODS`; the run's when not given. goal: as a policy that reads a goal,
+    which a twin's weights are too. Returns the policy's SHA-256.
 
     Raises PolicyError, and ConfigError for a bad name.
     """
@@ -61,7 +67,16 @@ def export(run: Path, out: Path, *, method: str | None = None, note: str = "") -
     if method is not None and method not in METHODS:
         raise ConfigError(f"no method {method}: one of {', '.join(METHODS)}")
     frozen = load_checkpoint(run / WEIGHTS)
-    config = replace(frozen.config, method=method or frozen.config.method)
+    if goal and frozen.config.network != "twin" and not frozen.config.goal:
+        raise ConfigError(
+            f"--goal: the weights of a network {frozen.config.network} that clears tables read no "
+            "goal; those of a twin do"
+        )
+    config = replace(
+        frozen.config,
+        method=method or frozen.config.method,
+        goal=goal or frozen.config.goal,
+    )
     lines = [line for line in read_curve(run) if line["actions"] <= frozen.provenance["actions"]]
     validated = [line for line in lines if line["validation"]]
     provenance = dict(frozen.provenance)

@@ -22,24 +22,28 @@ def network(request: pytest.FixtureRequest) -> TwinNet:
     return network
 
 
-def random_state(network: TwinNet) -> torch.Tensor:
-    shown = torch.rand(network.light.stem.in_channels, SIZE, SIZE)
+@pytest.fixture
+def shown(network: TwinNet) -> torch.Tensor:
+    """A random state, as this network takes it."""
+    shown = torch.rand(state.channels(goal=network.goal), SIZE, SIZE)
     shown[0] = 1
     return shown
 
 
 @torch.no_grad()
-def test_grasps_are_those_of_the_light_network(network: TwinNet) -> None:
-    picture = pictures(random_state(network), 2)
-    twin, light = network(picture), network.light(picture)
+def test_grasps_are_those_of_the_light_network(network: TwinNet, shown: torch.Tensor) -> None:
+    """Whatever the goal is."""
+    picture = pictures(shown, 2)
+    twin, light = network(picture), network.light(picture[:, : state.GOAL])
     torch.testing.assert_close(twin.grasp, light.grasp, rtol=0, atol=0)
     torch.testing.assert_close(twin.features, light.features, rtol=0, atol=0)
 
 
 @torch.no_grad()
-def test_a_push_has_the_value_at_the_middle_of_its_way(network: TwinNet) -> None:
+def test_a_push_has_the_value_at_the_middle_of_its_way(
+    network: TwinNet, shown: torch.Tensor
+) -> None:
     """The value of the whole picture is PushNet's own, asked on a patch around a place AHEAD."""
-    shown = random_state(network)
     whole = back_to_map(network(pictures(shown)).push)
     rotations = torch.tensor([0, 3, 6, 11])
     rows, cols = torch.tensor([120, 100, 90, 60]), torch.tensor([60, 110, 150, 100])
@@ -103,9 +107,10 @@ def test_one_push_is_valued_as_the_whole_patch_values_it(network: TwinNet) -> No
 
 
 @torch.no_grad()
-def test_one_action_is_valued_as_the_whole_patch_values_it(network: TwinNet) -> None:
+def test_one_action_is_valued_as_the_whole_patch_values_it(
+    network: TwinNet, shown: torch.Tensor
+) -> None:
     """What `Network.at` says holds for patches that are cut around a push's start."""
-    shown = random_state(network)
     rotations, rows, cols = torch.tensor([2]), torch.tensor([110]), torch.tensor([120])
     cuts, places = patches(
         shown[None], rotations, rows, cols, size=TwinNet.PATCH, stride=TwinNet.STRIDE
@@ -115,6 +120,15 @@ def test_one_action_is_valued_as_the_whole_patch_values_it(network: TwinNet) -> 
     for value, picture in ((push, maps.push), (grasp, maps.grasp)):
         expected = back_to_map(picture)[2, 0, 110, 120]
         torch.testing.assert_close(value[0], expected, rtol=1e-3, atol=1e-4)
+
+
+def test_the_same_weights_clear_and_fetch() -> None:
+    clears, fetches = TwinNet(goal=False), TwinNet(goal=True)
+    fetches.load_state_dict(clears.state_dict())
+    picture = torch.rand(1, 6, 64, 64)
+    everything = torch.cat((picture, all_that_rises(picture)), 1)
+    for ours, theirs in zip(clears(picture), fetches(everything), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=0)
 
 
 def test_it_is_small_enough_to_ship() -> None:

@@ -18,7 +18,7 @@ from policies.networks.two_towers import TwoTowerNet
 from policies.standing import RISE
 from tdpg_deploy.choosing import GOAL_PIXELS
 from tdpg_deploy.errors import ConfigError
-from tools.train import hold_out
+from tools.train import hold_out, teach
 from tools.train.config import PushCourse, PushRound, Randomization
 from tools.train.curve import read_curve
 from tools.train.pushes import course as courses
@@ -39,8 +39,8 @@ def grasps(tmp_path: Path) -> Path:
     """A policy that grasps, on fresh weights."""
     torch.manual_seed(0)
     path = tmp_path / "grasps.safetensors"
-    config = PolicyConfig(network="light", width=4, goal=True, method="tdpg-free")
-    save_checkpoint(path, LightNet(goal=True, width=4), config, {"actions": 5})
+    config = PolicyConfig(network="light", width=4, goal=False, method="tdpg-free")
+    save_checkpoint(path, LightNet(goal=False, width=4), config, {"actions": 5})
     return path
 
 
@@ -48,7 +48,7 @@ def grasps(tmp_path: Path) -> Path:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(courses, "RECORD", 6)
     monkeypatch.setattr(hold_out, "EVERY", 2)
-    monkeypatch.setattr(courses, "EPOCH", 2)
+    monkeypatch.setattr(teach, "EPOCH", 2)
 
 
 def course_from(grasps: Path | None) -> PushCourse:

@@ -51,19 +51,19 @@ def record(
 def test_a_push_is_asked_about_what_stands_near_its_way() -> None:
     lessons = lessons_of([record()])
     assert lessons.goal.tolist() == [1]  # the other one is far away
-    assert lessons.freed.tolist() == [1.0]
+    assert lessons.answer.tolist() == [1.0]
 
 
 def test_what_left_the_table_was_not_freed() -> None:
     lessons = lessons_of([record(pushes=[(0, 0, 60, 30)])])
     assert lessons.goal.tolist() == [0]
-    assert lessons.freed.tolist() == [0.0]
+    assert lessons.answer.tolist() == [0.0]
 
 
 def test_a_stuck_table_is_asked_about_as_a_whole() -> None:
     lessons = lessons_of([record(), record(stuck=True)])
     assert lessons.goal.tolist() == [1, ALL, 1]
-    assert lessons.freed.tolist() == [1.0, 0.5, 1.0]
+    assert lessons.answer.tolist() == [1.0, 0.5, 1.0]
     assert lessons.look.tolist() == [0, 1, 1]
     assert lessons.push.tolist() == [0, 1, 1]
 

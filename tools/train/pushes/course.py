@@ -20,22 +20,19 @@ from policies.networks.twin import TwinNet
 from tdpg_deploy.episode_log import software
 from tdpg_deploy.errors import ConfigError
 from tools.pool import process_pool
+from tools.train import teach
 from tools.train.claim import claim
 from tools.train.config import PushCourse, PushRound
-from tools.train.curve import Curve, Freed, PushProgress, PushValidation, read_curve
+from tools.train.curve import Compared, PushValidation, read_curve
 from tools.train.hold_out import split
 from tools.train.pushes.lessons import ALL, Lessons, lessons_of
 from tools.train.pushes.play import PushRecord, PushTask, play_pushes
-from tools.train.pushes.teach import Teacher
-from tools.train.run import STATE, WEIGHTS, started_with
+from tools.train.run import WEIGHTS, started_with
+from tools.train.teach import Array, Teacher, Teaching, compared, cross_entropy, restore
 from tools.train.trainer import training_cell
 from tools.train.whole import written_whole
 
-Logits = npt.NDArray[np.float32]
-
 RECORD = 200  # pushes in one file
-EPOCH = 200  # updates
-WARM_UP = 100  # updates until the learning rate is reached
 
 
 def teach_pushes(
@@ -49,7 +46,7 @@ def teach_pushes(
     `course.start` with this PushNet. on_progress: is told what is done, how much, and of how much.
 
     Raises ConfigError when the directory belongs to another course, the policy to begin with has
-    no light network, or the first round is of one record.
+    no light network that knows no goal, or the first round is of one record.
     """
     if course.start is None:
         raise ConfigError("a course of pushes is for a policy that grasps: give --from FILE")
@@ -58,8 +55,12 @@ def teach_pushes(
     start = load_checkpoint(course.start)
     network = _beside(course.start, start)
     claim(directory, course.model_dump(mode="json", exclude={"start", "workers"}))
-    teacher = Teacher(network.push_net, weight_decay=course.weight_decay)
-    epoch = _restore(directory, teacher)
+    teacher = Teacher(
+        network.push_net,
+        lambda cuts, places: (network.push_net.at(cuts, places),),
+        weight_decay=course.weight_decay,
+    )
+    epoch = restore(directory, teacher)
     played: list[Path] = []
     ends = 0  # epochs, at the end of a round
     for number, each in enumerate(course.rounds):
@@ -70,7 +71,7 @@ def teach_pushes(
         for record in _play(course, each, len(played), chooser, directory):
             played.append(record)
             on_progress("pushes played", RECORD * len(played), course.pushes)
-        begins, ends = ends, ends + math.ceil(each.updates / EPOCH)
+        begins, ends = ends, ends + math.ceil(each.updates / teach.EPOCH)
         if epoch < ends:
             _teach(course, each, range(epoch, ends), begins, teacher, played, on_progress)
             epoch = ends
@@ -87,57 +88,35 @@ def _teach(
     on_progress: Callable[[str, int, int], None],
 ) -> None:
     """What is left of a round, whose first epoch is `begins`."""
-    directory = played[0].parent
     lessons, held_out = map(lessons_of, split([PushRecord.load(path) for path in played], RECORD))
-    with Curve(directory, round=epochs.start) as curve:
-        for epoch in epochs:
-            rng = np.random.default_rng((course.seed, epoch))
-            updates = range((epoch - begins) * EPOCH, (epoch - begins + 1) * EPOCH)
-            losses = [
-                teacher.update(
-                    lessons, rng, batch=course.batch, learning_rate=_learning_rate(each, update)
-                )
-                for update in updates
-            ]
-            done = (epoch + 1) * EPOCH
-            curve.add(
-                PushProgress(
-                    round=epoch + 1,
-                    actions=done,
-                    learning_rate=_learning_rate(each, updates.stop),
-                    loss=float(np.mean(losses)),
-                    validation=judged(held_out, teacher),
-                )
-            )
-            _save(directory, teacher, epoch + 1)
-            on_progress("updates", done, course.updates)
-
-
-def judged(held_out: Lessons, teacher: Teacher) -> PushValidation:
-    """By pushes of tables that nothing is learnt from."""
-    logits = teacher.answers(held_out)
-    loss = np.logaddexp(0, logits) - held_out.freed * logits
-    return PushValidation(
-        loss=float(loss.mean()),
-        goal=_freed(held_out, logits, held_out.goal != ALL),
-        all=_freed(held_out, logits, held_out.goal == ALL),
+    Teaching(
+        directory=played[0].parent,
+        seed=course.seed,
+        updates=each.updates,
+        batch=course.batch,
+        learning_rate=each.learning_rate,
+    ).go_on(
+        teacher,
+        lessons,
+        epochs,
+        begins=begins,
+        validated=lambda: judged(held_out, teacher.answers(held_out)),
+        on_epoch=lambda epoch: on_progress("updates", epoch * teach.EPOCH, course.updates),
     )
 
 
-def _freed(lessons: Lessons, logits: Logits, which: npt.NDArray[np.bool_]) -> Freed | None:
-    """Means over what was asked of several pushes from one look; None where nothing was."""
-    asked = np.stack([lessons.look, lessons.goal.astype(np.intp)])[:, which]
-    questions, question = np.unique(asked, axis=1, return_inverse=True)
-    freed, logits = lessons.freed[which], logits[which]
-    rows = [
-        (freed[of_it][logits[of_it].argmax()], freed[of_it].mean(), freed[of_it].max())
-        for of_it in (question == number for number in range(questions.shape[1]))
-        if of_it.sum() > 1
-    ]
-    if not rows:
-        return None
-    chosen, every, best = np.mean(rows, axis=0)
-    return Freed(chosen=float(chosen), any=float(every), best=float(best))
+def judged(held_out: Lessons, logits: Array) -> PushValidation:
+    """By pushes of tables that nothing is learnt from."""
+    asked = np.stack([held_out.look, held_out.goal.astype(np.intp)], axis=1)
+
+    def of(which: npt.NDArray[np.bool_]) -> Compared | None:
+        return compared(asked[which], held_out.answer[which], logits[which])
+
+    return PushValidation(
+        loss=cross_entropy(held_out, logits),
+        goal=of(held_out.goal != ALL),
+        all=of(held_out.goal == ALL),
+    )
 
 
 def _play(
@@ -153,6 +132,7 @@ def _play(
             pushes=RECORD,
             file=directory / f"{number:04d}.npz",
             chooser=chooser,
+            explored=each.explored,
             compact=each.compact,
             knots=each.knots,
         )
@@ -165,42 +145,18 @@ def _play(
 def _beside(path: Path, start: Checkpoint) -> TwinNet:
     """A fresh PushNet beside the policy's light network. Raises ConfigError."""
     config = start.config
-    torch.manual_seed(0)
-    network = TwinNet(goal=config.goal, width=config.width)
-    if config.network == "light":
-        network.light.load_state_dict(start.weights)
-    elif config.network == "twin":
-        network.light.load_state_dict(
-            {
-                name.removeprefix("light."): weight
-                for name, weight in start.weights.items()
-                if name.startswith("light.")
-            }
+    if config.network not in ("light", "twin") or config.goal:
+        raise ConfigError(
+            f"{path}: network is {config.network}, goal is {config.goal}: begin with a light or a "
+            "twin one that clears tables"
         )
-    else:
-        raise ConfigError(f"{path}: network is {config.network}: begin with a light or a twin one")
+    torch.manual_seed(0)
+    network = TwinNet(goal=False, width=config.width)
+    light = start.network()
+    network.light.load_state_dict(
+        light.light.state_dict() if isinstance(light, TwinNet) else light.state_dict()
+    )
     return network
-
-
-def _learning_rate(each: PushRound, update: int) -> float:
-    """Rises over WARM_UP updates of a round, then falls along a half cosine."""
-    cosine = (1 + math.cos(math.pi * min(1.0, update / each.updates))) / 2
-    return each.learning_rate * min(1.0, (update + 1) / WARM_UP) * max(cosine, 0.01)
-
-
-def _restore(directory: Path, teacher: Teacher) -> int:
-    """Epochs that are done."""
-    file = directory / STATE
-    if not file.exists():
-        return 0
-    state = torch.load(file, weights_only=True)
-    teacher.restore(state["teacher"])
-    return int(state["epoch"])
-
-
-def _save(directory: Path, teacher: Teacher, epoch: int) -> None:
-    with written_whole(directory / STATE) as file:
-        torch.save({"teacher": teacher.state(), "epoch": epoch}, file)
 
 
 def _freeze(
@@ -219,7 +175,7 @@ def _freeze(
     config = PolicyConfig(
         network="twin",
         width=start.config.width,
-        goal=start.config.goal,
+        goal=False,
         method=start.config.method,
     )
     save_checkpoint(path, network, config, provenance)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from policies.heightmap import PIXEL, SIZE
+from policies.heightmap import PIXEL
 from policies.networks.twin import AHEAD, PushNet
 from policies.policy import ROTATIONS
 from policies.primitives import PUSH_LENGTH
@@ -17,14 +17,13 @@ from policies.rotation import around
 from policies.standing import RISE
 from policies.state import stacked
 from tdpg_deploy.choosing import GOAL_PIXELS
+from tools.train.cut import METRES, cut
 from tools.train.pushes.play import PushRecord
-from tools.train.replay import UNSEEN, unpack_height
+from tools.train.replay import UNSEEN
 
 BESIDE = 0.06  # m to both sides of a push, and beyond its end, within which it concerns a goal
 ALL = -1  # in place of a goal: all that stands on the table
 OUTSIDE = -2  # owner of what lies outside of the workspace
-
-_METRES = unpack_height(np.arange(int(UNSEEN) + 1, dtype=np.uint16))  # of every packed height
 
 Array = npt.NDArray[np.float32]
 
@@ -35,7 +34,7 @@ class Lessons:
     that they lead upwards; places: (m, 2) of the middles in them, in [-1, 1].
 
     push: (n,) which of them a lesson is about. goal: (n,) the object that it is to free, or ALL.
-    freed: (n,) the answer, 0 to 1. look: (n,) what the push began from.
+    answer: (n,) what of it was freed, 0 to 1. look: (n,) what the push began from.
     """
 
     heights: npt.NDArray[np.uint16]
@@ -44,11 +43,11 @@ class Lessons:
     places: Array
     push: npt.NDArray[np.intp]
     goal: npt.NDArray[np.int8]
-    freed: Array
+    answer: Array
     look: npt.NDArray[np.intp]
 
     def __len__(self) -> int:
-        return len(self.freed)
+        return len(self.answer)
 
     def questions(
         self, picks: npt.NDArray[np.intp], rng: np.random.Generator | None = None
@@ -70,7 +69,7 @@ class Lessons:
             color = np.stack(
                 [each[..., order] for each, order in zip(color, channels, strict=True)]
             )
-        metres = _METRES[height]
+        metres = METRES[height]
         with np.errstate(invalid="ignore"):
             goal = np.where(goals == ALL, metres > RISE, owner == goals)
         patches = stacked(owner != OUTSIDE, metres, color, goal)
@@ -99,7 +98,7 @@ def lessons_of(records: Sequence[PushRecord]) -> Lessons:
         places=places,
         push=push.astype(np.intp),
         goal=goal.astype(np.int8),
-        freed=freed.astype(np.float32),
+        answer=freed.astype(np.float32),
         look=look.astype(np.intp),
     )
 
@@ -117,19 +116,13 @@ def _cut(
         size=PushNet.PATCH,
         stride=PushNet.STRIDE,
     )
-    flat = index.numpy()  # SIZE * SIZE is outside
-
-    def taken(maps: npt.NDArray[np.generic], outside: int) -> npt.NDArray[np.generic]:
-        padded = np.full((len(maps), SIZE * SIZE + 1, *maps.shape[3:]), outside, maps.dtype)
-        padded[:, :-1] = maps.reshape(len(maps), SIZE * SIZE, *maps.shape[3:])
-        return np.stack([padded[i, at] for i, at in zip(look, flat, strict=True)])
-
+    at = index.numpy()
     return (
-        taken(record.heights, int(UNSEEN)),
-        taken(record.colors, 0),
-        taken(record.owners, OUTSIDE),
+        cut(record.heights, look, at, int(UNSEEN)),
+        cut(record.colors, look, at, 0),
+        cut(record.owners, look, at, OUTSIDE),
         places.numpy(),
-    )  # type: ignore[return-value]
+    )
 
 
 def _of_all(record: PushRecord, push: int) -> Iterator[tuple[int, float]]:

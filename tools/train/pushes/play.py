@@ -17,7 +17,7 @@ import torch
 
 from policies.border import border_occupancy
 from policies.decide import Choice, best, to_primitive
-from policies.heightmap import SIZE, Heightmap, Workspace
+from policies.heightmap import SIZE, Heightmap
 from policies.learned import fastest_dtype
 from policies.masks import strike_out
 from policies.networks.twin import PushNet
@@ -33,14 +33,10 @@ from tdpg_deploy.errors import DeviceError, PlanRefused, SceneError
 from tdpg_deploy.execution import execute, make_ready
 from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.safety import check
-from tdpg_deploy.sim.bodies import SHAPES
-from tdpg_deploy.sim.clusters import clustered_scene
-from tdpg_deploy.sim.random_shapes import odd_shapes
-from tdpg_deploy.sim.scenes import MAX_OBJECTS, MAX_PACKED, Scene, packed_scene, random_scene
-from tdpg_deploy.sim.world import World
+from tdpg_deploy.sim.scenes import MAX_OBJECTS, Scene
 from tdpg_deploy.workspace import workspace_of
-from tools.goals import detector_of
 from tools.train.config import Randomization
+from tools.train.laid import as_left, random_table, world_of
 from tools.train.pushes.free import Flags, Owners, free, look, on_table, taken_by_grasps
 from tools.train.randomize import randomized
 from tools.train.replay import pack_height
@@ -48,16 +44,13 @@ from tools.train.whole import written_whole
 
 Place: TypeAlias = tuple[int, int, int]  # rotation, row, column
 
-ODD, HEAPS, PACKS = 0.12, 0.12, 0.23  # shares of tables of stones, in heaps, in rows; else clusters
-HEAP = (3, 25)  # objects
 STUCK = (
     0.85  # share of the tables with something that no grasp can take, on which just that is left
 )
 FOR_A_GOAL = 0.4  # share of the pushes there that are made for one object's sake
 PUSHES_A_LOOK = 3
 HEMMED_IN = 0.65  # part of a goal's border that is occupied, from which on it is hemmed in ...
-PUSHES_A_KNOT = 6  # from a look at one that is, for most of them free nothing ...
-EXPLORED = 0.6  # share of them that are any that are allowed: what frees it is hard to foretell
+PUSHES_A_KNOT = 6  # from a look at one that is, for most of them free nothing
 KINDS = (0.3, 0.4, 0.3)  # shares of pushes by how promising their kind is (policies/pushable.py)
 GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 
@@ -65,9 +58,9 @@ GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 @dataclass(frozen=True, kw_only=True)
 class PushTask:
     """Play until so many pushes were made; write the record to `file`. chooser: weights of a
-    PushNet, of whose best pushes each look's are made; None: any that are allowed. compact: share
-    of the clusters that grow compact. knots: only looks at something that is hemmed in are kept,
-    and pushes are for what is so most."""
+    PushNet, of whose best pushes each look's are made; None: any that are allowed. explored: share
+    that are any nevertheless. compact: share of the clusters that grow compact. knots: only looks
+    at something that is hemmed in are kept, and pushes are for what is so most."""
 
     cell: CellConfig
     randomization: Randomization
@@ -75,6 +68,7 @@ class PushTask:
     pushes: int
     file: Path
     chooser: Path | None = None
+    explored: float = 0.0
     compact: float = 0.0
     knots: bool = False
 
@@ -163,8 +157,8 @@ def play_pushes(task: PushTask) -> Path:
     cv2.setNumThreads(1)  # one core a worker
     torch.set_num_threads(1)
     choose = any_of_a_kind if task.chooser is None else Chooser(task.chooser)
-    if task.knots:
-        choose = partial(any_of_a_kind_or, choose)
+    if task.explored:
+        choose = partial(any_of_a_kind_or, choose, task.explored)
     rng = np.random.default_rng(task.seed)
     looks: list[_Look] = []
     pushes: list[tuple[int, _Pushed]] = []
@@ -179,18 +173,6 @@ def play_pushes(task: PushTask) -> Path:
             looks.append(seen)
     _record(looks, pushes).save(task.file)
     return task.file
-
-
-def random_table(workspace: Workspace, compact: float, rng: np.random.Generator) -> Scene:
-    """Mostly clusters, where pushes matter. Raises SceneError."""
-    shapes = odd_shapes(rng) if rng.random() < ODD else SHAPES
-    kind = rng.random()
-    if kind < HEAPS:
-        return random_scene(int(rng.integers(HEAP[0], HEAP[1] + 1)), workspace, rng, shapes)
-    if kind < HEAPS + PACKS:
-        return packed_scene(int(rng.integers(2, MAX_PACKED + 1)), workspace, rng, shapes)
-    tight = compact > 0 and rng.random() < compact
-    return clustered_scene(workspace, rng, shapes, compact=tight)
 
 
 def _try_table(
@@ -235,13 +217,7 @@ def _settled(config: CellConfig, compact: float, rng: np.random.Generator) -> tu
         held_fast = on_table(world) & ~taken_by_grasps(world)
         stuck = bool(held_fast.sum() >= 2 and rng.random() < STUCK)
         kept = held_fast if stuck else on_table(world)
-    return Scene(
-        objects=tuple(
-            replace(item, X_base_object=state.X_base_object)
-            for item, state, keep in zip(scene.objects, at_rest, kept, strict=True)
-            if keep
-        )
-    ), stuck
+    return as_left(scene, at_rest, kept.tolist()), stuck
 
 
 def any_of_a_kind(seen: _Look, rng: np.random.Generator) -> Place | None:
@@ -253,9 +229,11 @@ def any_of_a_kind(seen: _Look, rng: np.random.Generator) -> Place | None:
     return _of_kinds(list(pushable(aimed)), shares, rng)
 
 
-def any_of_a_kind_or(choose: Choose, seen: _Look, rng: np.random.Generator) -> Place | None:
-    """EXPLORED of them any of a kind."""
-    return any_of_a_kind(seen, rng) if rng.random() < EXPLORED else choose(seen, rng)
+def any_of_a_kind_or(
+    choose: Choose, explored: float, seen: _Look, rng: np.random.Generator
+) -> Place | None:
+    """That share of them any of a kind."""
+    return any_of_a_kind(seen, rng) if rng.random() < explored else choose(seen, rng)
 
 
 class Chooser:
@@ -315,11 +293,6 @@ def _push(cell: Cell, seen: Heightmap, place: Place) -> bool:
     except (PlanRefused, DeviceError):
         return False
     return True
-
-
-def world_of(cell: Cell) -> World:
-    """The physics of a simulated cell."""
-    return detector_of(cell).world
 
 
 def _record(looks: Sequence[_Look], pushes: Sequence[tuple[int, _Pushed]]) -> PushRecord:

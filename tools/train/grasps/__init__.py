@@ -1,0 +1,1 @@
+"""Grasps in doubt, each tried from the same look, and the critics of grasps taught by them."""
