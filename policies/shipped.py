@@ -11,8 +11,8 @@ from policies.checkpoint import load_checkpoint
 from policies.policy import Decider
 
 # In weights/, each with its card beside it.
-CLEAR = "clear.safetensors"
-FETCH = "fetch-free.safetensors"
+CLEAR = "clear-tried.safetensors"
+FETCH = "fetch-tried.safetensors"
 
 
 @dataclass(frozen=True, kw_only=True)
