@@ -8,6 +8,7 @@ import torch
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.errors import CheckpointError
 from policies.networks.light import LightNet
+from policies.networks.twin import TwinNet
 from tdpg_deploy.errors import ConfigError
 from tools.train.curve import Curve, Progress, Validation
 from tools.train.export import export, main
@@ -94,3 +95,22 @@ def test_a_directory_without_a_run_is_named(tmp_path: Path) -> None:
 def test_a_policy_file_ends_in_safetensors(run: Path) -> None:
     with pytest.raises(ConfigError, match=r"out.bin: a policy file ends in .safetensors"):
         export(run, run / "out.bin")
+
+
+def test_the_weights_of_a_twin_are_exported_as_a_policy_that_fetches_too(
+    run: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "fetch.safetensors"
+    with pytest.raises(ConfigError, match="network light that clears tables read no goal"):
+        export(run, out, goal=True)
+    weights = run / "policy.safetensors"
+    clears = PolicyConfig(network="twin", width=4, goal=False, method="tdpg-free")
+    save_checkpoint(
+        weights, TwinNet(goal=False, width=4), clears, load_checkpoint(weights).provenance
+    )
+    export(run, out, goal=True)
+    exported = load_checkpoint(out)
+    assert exported.policy().goal
+    for name, weight in load_checkpoint(weights).weights.items():
+        assert torch.equal(exported.weights[name], weight)
+    assert "A policy that fetches" in out.with_suffix(".md").read_text()
