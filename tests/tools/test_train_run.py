@@ -18,6 +18,7 @@ from tools.train.cli import EXPERIMENTS
 from tools.train.config import (
     CoordinatorCourse,
     Evaluation,
+    GraspCourse,
     Learning,
     PushCourse,
     PushReward,
@@ -205,7 +206,8 @@ def test_a_directory_belongs_to_one_experiment(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
 def test_the_shipped_experiments_are_valid(file: Path) -> None:
-    kind = {"pushes": PushCourse, "gi": CoordinatorCourse}.get(file.stem, TrainConfig)
+    courses = {"pushes": PushCourse, "grasps": GraspCourse, "gi": CoordinatorCourse}
+    kind = courses.get(file.stem, TrainConfig)
     assert isinstance(load_experiment(file), kind)
 
 

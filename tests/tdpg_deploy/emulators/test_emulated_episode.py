@@ -16,7 +16,7 @@ from tdpg_deploy.episode_log.entries import Intent, Refusal
 from tdpg_deploy.episode_log.reader import Episode, read_episode
 from tdpg_deploy.outcome import EndReason
 
-OBJECTS, SEED = 4, 500
+OBJECTS, SEED = 4, 501
 STORY = re.compile(r"LookDocument (Intent LookDocument Conclusion )+End")
 
 
