@@ -14,7 +14,7 @@ from policies.heightmap import PIXEL, SIZE, Heightmap
 from policies.hindering import in_the_way
 from policies.policy import HALF_TURN, ROTATIONS, QMaps
 from policies.primitives import Grasp, Primitive, Push
-from policies.pushable import pushable
+from policies.pushable import all_pushes, pushable
 from policies.standing import Map, Mask, rising
 
 NEAR = 0.010  # m; actions closer than this ...
@@ -71,8 +71,8 @@ def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push], promising:
     left = np.full_like(values, -np.inf)
     if np.isneginf(values).all():
         return left  # a policy that does not push
-    kinds: Iterable[Mask] = pushable(heightmap)
-    for mask in kinds if promising else [*kinds][-1:]:
+    kinds: Iterable[Mask] = pushable(heightmap) if promising else [all_pushes(heightmap)]
+    for mask in kinds:
         left = np.where(mask, values, np.float32(-np.inf))
         for push in avoid:
             strike_out(left, *_entry(push, heightmap))

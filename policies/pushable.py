@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 
 import cv2
@@ -38,6 +38,30 @@ def pushable(heightmap: Heightmap) -> Iterator[Mask]:
     followed 178 of 180 that went on by 80 mm or more, and 148 of 175 others. The last kind
     is all of them.
     """
+    objects, beside, meets = _pushes_at(heightmap)
+    if heightmap.goal is not None:
+        goal = objects & heightmap.goal
+        over_goal = meets(goal, GOAL_THROUGH)
+        yield over_goal & np.isneginf(_met(heightmap, objects & ~goal, PUSH_LENGTH + BEYOND))
+        yield over_goal & meets(beside, PUSH_THROUGH)
+        yield over_goal
+    for_long = meets(beside, PUSH_THROUGH)
+    if heightmap.goal is None:
+        halved = np.where(for_long, _halved(objects, PUSH_LENGTH - PUSH_THROUGH), np.float32(0))
+        yield for_long & (halved >= MIDDLE * halved.max())
+    yield for_long
+    yield meets(beside, PUSH_AT_LEAST)
+
+
+def all_pushes(heightmap: Heightmap) -> Mask:
+    """The last kind alone (16, 224, 224): all of them."""
+    _, beside, meets = _pushes_at(heightmap)
+    return meets(beside, PUSH_AT_LEAST)
+
+
+def _pushes_at(heightmap: Heightmap) -> tuple[Mask, Mask, Callable[[Mask, float], Mask]]:
+    """What stands there; what of it is to be pushed (224, 224); and which pushes meet such things
+    and go on by so many metres."""
     ground = under_closed_gripper(heightmap)
     lowest = np.concatenate((ground.highest, ground.highest)) + np.float32(RISE)
     known = np.concatenate((ground.known, ground.known))
@@ -51,18 +75,7 @@ def pushable(heightmap: Heightmap) -> Iterator[Mask]:
         met: Mask = starts & (_met(heightmap, what, PUSH_LENGTH - through) > lowest)
         return met
 
-    if heightmap.goal is not None:
-        goal = objects & heightmap.goal
-        over_goal = meets(goal, GOAL_THROUGH)
-        yield over_goal & np.isneginf(_met(heightmap, objects & ~goal, PUSH_LENGTH + BEYOND))
-        yield over_goal & meets(beside, PUSH_THROUGH)
-        yield over_goal
-    for_long = meets(beside, PUSH_THROUGH)
-    if heightmap.goal is None:
-        halved = np.where(for_long, _halved(objects, PUSH_LENGTH - PUSH_THROUGH), np.float32(0))
-        yield for_long & (halved >= MIDDLE * halved.max())
-    yield for_long
-    yield meets(beside, PUSH_AT_LEAST)
+    return objects, beside, meets
 
 
 def _keeps_inside(goal: Mask) -> npt.NDArray[np.bool_]:

@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 from tables import goal_at, table_with
 
-from policies.heightmap import Heightmap
-from policies.pushable import pushable
-from policies.standing import Mask
+from policies.pushable import all_pushes, pushable
 
 BLOCK = (100, 100, 20, 20, 0.05)
-
-
-def any_kind(heightmap: Heightmap) -> Mask:
-    *_, mask = pushable(heightmap)
-    return mask
 
 
 def test_the_first_pushes_for_a_goal_have_it_slide_out_alone() -> None:
@@ -37,7 +30,7 @@ def test_a_push_for_a_goal_meets_the_goal_or_what_is_beside_it() -> None:
     assert any_push[4, 110, 160]  # from the right into the neighbour
     assert any_push[0, 130, 110]
     assert not any_push[12, 60, 30]
-    assert any_kind(table_with(BLOCK, near, far))[12, 60, 30]
+    assert all_pushes(table_with(BLOCK, near, far))[12, 60, 30]
 
 
 def test_the_first_pushes_go_through_the_middle_of_the_widest_pile() -> None:
@@ -64,12 +57,12 @@ def test_the_last_kind_is_all_of_them() -> None:
     row = [(90, col, 40, 20, 0.05) for col in (79, 100, 121)]
     for heightmap in (table_with(*row), table_with(*row, goal=goal)):
         *_, every = pushable(heightmap)
-        np.testing.assert_array_equal(every, any_kind(heightmap))
+        np.testing.assert_array_equal(every, all_pushes(heightmap))
         assert every.any()
 
 
 def test_a_push_starts_beside_the_block_and_runs_into_it() -> None:
-    mask = any_kind(table_with(BLOCK))
+    mask = all_pushes(table_with(BLOCK))
     up, left, down, right = 0, 4, 8, 12  # yaw 0, 90, 180, 270 degrees
     assert mask[up, 130, 110]
     assert mask[left, 110, 130]
@@ -84,13 +77,13 @@ def test_a_push_starts_beside_the_block_and_runs_into_it() -> None:
 
 
 def test_a_push_that_would_slide_along_a_block_is_not_allowed() -> None:
-    mask = any_kind(table_with(BLOCK))
+    mask = all_pushes(table_with(BLOCK))
     assert mask[0, 140, 121]
     assert not mask[0, 130:160, 124].any()  # 8 mm beside it
 
 
 def test_a_push_from_a_low_block_meets_a_higher_one() -> None:
-    mask = any_kind(table_with((100, 100, 20, 20, 0.05), (120, 100, 20, 20, 0.03)))
+    mask = all_pushes(table_with((100, 100, 20, 20, 0.05), (120, 100, 20, 20, 0.03)))
     assert mask[0, 130, 110]  # from the lower, up, into the higher
     assert not mask[8, 110, 110]  # from the higher, down, over the lower
 
@@ -98,10 +91,10 @@ def test_a_push_from_a_low_block_meets_a_higher_one() -> None:
 def test_a_push_neither_starts_on_unknown_ground_nor_ends_near_the_border() -> None:
     heightmap = table_with((30, 100, 20, 20, 0.05), BLOCK)
     heightmap.height[125:140, :] = np.nan
-    mask = any_kind(heightmap)
+    mask = all_pushes(heightmap)
     assert not mask[0, 130, 110]
     assert mask[0, 150, 110]
-    down = any_kind(table_with((140, 100, 20, 20, 0.05)))[8, :, 110]
+    down = all_pushes(table_with((140, 100, 20, 20, 0.05)))[8, :, 110]
     assert down[128]
     assert not down[129]  # it would end 29 pixels from the border: 58 mm
 
@@ -112,4 +105,4 @@ def test_a_push_leaves_the_goal_in_the_workspace(col: int, kept: Sequence[int]) 
     for it may stand between the fingers and the goal."""
     blocks = (100, col, 20, 20, 0.05), (100, col - 21, 20, 20, 0.05)
     heightmap = table_with(*blocks, goal=goal_at(slice(100, 120), slice(col, col + 20)))
-    assert set(np.flatnonzero(any_kind(heightmap).any(axis=(1, 2)))) == set(kept)
+    assert set(np.flatnonzero(all_pushes(heightmap).any(axis=(1, 2)))) == set(kept)

@@ -22,7 +22,7 @@ from policies.learned import fastest_dtype
 from policies.masks import strike_out
 from policies.networks.twin import PushNet
 from policies.policy import ROTATIONS
-from policies.pushable import pushable
+from policies.pushable import all_pushes, pushable
 from policies.rotation import back_to_map, pictures
 from policies.standing import Map, rising
 from policies.state import encode
@@ -260,11 +260,10 @@ class Chooser:
 
     def _values(self, aimed: Heightmap) -> Map:
         """(16, 224, 224), -inf where no push is allowed."""
-        *_, allowed = pushable(aimed)
         goal = rising(aimed) if aimed.goal is None else aimed.goal
         state = encode(replace(aimed, goal=goal), goal=True).to(fastest_dtype())
         values = back_to_map(self._network.values(pictures(state)).float())[:, 0].numpy()
-        return np.where(allowed, values, np.float32(-np.inf))
+        return np.where(all_pushes(aimed), values, np.float32(-np.inf))
 
 
 def _of_kinds(
