@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +27,6 @@ from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.choosing import is_seen
 from tdpg_deploy.episode import run_episode
-from tdpg_deploy.episode_log import software
 from tdpg_deploy.episode_record import NullRecorder
 from tdpg_deploy.errors import ConfigError, SceneError
 from tdpg_deploy.hal import RgbdFrame
@@ -43,7 +41,7 @@ from tools.train.explore import with_choice
 from tools.train.hold_out import split
 from tools.train.randomize import randomized
 from tools.train.rollout import goals
-from tools.train.run import WEIGHTS, started_with
+from tools.train.run import WEIGHTS, provenance_of
 from tools.train.trainer import training_cell
 from tools.train.whole import written_whole
 
@@ -229,14 +227,7 @@ def _freeze(
     start: Checkpoint,
     validation: dict[str, float | None],
 ) -> Path:
-    provenance: dict[str, Any] = {
-        "experiment": course.model_dump(mode="json", exclude={"start"}),
-        "start": started_with(start),
-        "actions": course.grasps,
-        "updates": course.updates,
-        "commit": software.commit(),
-        "validation": validation,
-    }
+    provenance = provenance_of(course, start, actions=course.grasps, validation=validation)
     path = out / WEIGHTS
     config = PolicyConfig(network="coordinated", width=start.config.width, goal=True, method="gi")
     save_checkpoint(path, network, config, provenance)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -22,7 +22,15 @@ from policies.networks.two_towers import TwoTowerNet
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.episode_log import software
 from tdpg_deploy.errors import ConfigError
-from tools.train.config import Stage, StageKind, TrainConfig, stage_after
+from tools.train.config import (
+    CoordinatorCourse,
+    GraspCourse,
+    PushCourse,
+    Stage,
+    StageKind,
+    TrainConfig,
+    stage_after,
+)
 from tools.train.curve import Progress
 from tools.train.judge import JudgeTask
 from tools.train.learner import Learner
@@ -257,6 +265,24 @@ def started_with(start: Checkpoint) -> dict[str, Any]:
     return {
         "sha256": start.sha256,
         "actions": start.provenance.get("actions", 0) + earlier["actions"],
+    }
+
+
+def provenance_of(
+    course: PushCourse | GraspCourse | CoordinatorCourse,
+    start: Checkpoint,
+    *,
+    actions: int,
+    validation: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Of what a course made of the policy `start`."""
+    return {
+        "experiment": course.model_dump(mode="json", exclude={"start"}),
+        "start": started_with(start),
+        "actions": actions,
+        "updates": course.updates,
+        "commit": software.commit(),
+        "validation": validation,
     }
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from policies.learned import fastest_dtype
+from tools.train.config import GraspCourse, GraspRound, PushCourse, PushRound
 from tools.train.curve import Compared, CourseProgress, Curve, GraspValidation, PushValidation
 from tools.train.run import STATE
 from tools.train.whole import written_whole
@@ -42,6 +44,9 @@ class Lessons(Protocol):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Patches (k, C, h, w) and places (k, 2). rng: as another cell might show the same."""
         ...
+
+
+SomeLessons = TypeVar("SomeLessons", bound=Lessons)
 
 
 class Teacher:
@@ -143,6 +148,65 @@ class Teaching:
         """Rises over WARM_UP updates, then falls along a half cosine."""
         cosine = (1 + math.cos(math.pi * min(1.0, update / self.updates))) / 2
         return self.learning_rate * min(1.0, (update + 1) / WARM_UP) * max(cosine, 0.01)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tries(Generic[SomeLessons]):
+    """What a course tries, and what is made of it. what: for who watches; total: of the whole
+    course; size: of a record. play: the records of a round, of which so many are there already.
+    lessons_of: records -> to learn from, and held out. judged: by what is held out and the logits
+    that it is given."""
+
+    what: str
+    total: int
+    size: int
+    play: Callable[[int, int], Iterator[Path]]
+    lessons_of: Callable[[Sequence[Path]], tuple[SomeLessons, SomeLessons]]
+    judged: Callable[[SomeLessons, Array], PushValidation | GraspValidation]
+
+
+def teach_in_rounds(
+    course: PushCourse | GraspCourse,
+    directory: Path,
+    teacher: Teacher,
+    tries: Tries[SomeLessons],
+    on_progress: Callable[[str, int, int], None],
+) -> None:
+    """Each round is played, and learnt with all before; or what is left of it. on_progress: is told
+    what is done, how much, and of how much."""
+    epoch = restore(directory, teacher)
+    played: list[Path] = []
+    ends = 0  # epochs, at the end of a round
+    rounds: Sequence[PushRound | GraspRound] = course.rounds
+    for number, each in enumerate(rounds):
+        for record in tries.play(number, len(played)):
+            played.append(record)
+            on_progress(tries.what, tries.size * len(played), tries.total)
+        begins, ends = ends, ends + math.ceil(each.updates / EPOCH)
+        if epoch < ends:
+            teaching = Teaching(
+                directory=directory,
+                seed=course.seed,
+                updates=each.updates,
+                batch=course.batch,
+                learning_rate=each.learning_rate,
+            )
+            lessons, held_out = tries.lessons_of(played)
+            teaching.go_on(
+                teacher,
+                lessons,
+                range(epoch, ends),
+                begins=begins,
+                validated=partial(_judged, tries, held_out, teacher),
+                on_epoch=lambda done: on_progress("updates", done * EPOCH, course.updates),
+            )
+            epoch = ends
+
+
+def _judged(
+    tries: Tries[SomeLessons], held_out: SomeLessons, teacher: Teacher
+) -> PushValidation | GraspValidation:
+    return tries.judged(held_out, teacher.answers(held_out))
 
 
 def restore(directory: Path, teacher: Teacher) -> int:

@@ -10,31 +10,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from policies.checkpoint import load_checkpoint, save_checkpoint
 from policies.networks.twin import TwinNet
-from tdpg_deploy.episode_log import software
 from tdpg_deploy.errors import ConfigError
 from tools.pool import process_pool
-from tools.train import teach
 from tools.train.claim import claim
 from tools.train.config import GraspCourse, GraspRound
 from tools.train.curve import GraspValidation, read_curve
 from tools.train.grasps.lessons import GraspLessons, lessons_of
 from tools.train.grasps.play import GraspRecord, GraspTask, play_grasps
 from tools.train.hold_out import split
-from tools.train.run import WEIGHTS, started_with
+from tools.train.run import WEIGHTS, provenance_of
 from tools.train.teach import (
     Array,
     Foretell,
     Teacher,
-    Teaching,
+    Tries,
     compared,
     cross_entropy,
-    restore,
+    teach_in_rounds,
 )
 from tools.train.trainer import training_cell
 
@@ -64,28 +61,25 @@ def teach_grasps(
     split(range(first), RECORD)  # too few: said before anything is played
     claim(out, {**course.model_dump(mode="json", exclude={"workers"}), "weights": start.sha256})
     teacher = Teacher(network.light, _foretell(network), weight_decay=course.weight_decay)
-    epoch = restore(out, teacher)
-    tried: list[Path] = []
-    ends = 0  # epochs, at the end of a round
-    for number, each in enumerate(course.rounds):
+
+    def play(number: int, first: int) -> Iterator[Path]:
         player = out / f"playing-{number}.safetensors"
         if not player.exists():
             save_checkpoint(player, network, start.config, {})
-        for record in _try(course, each, len(tried), player, out):
-            tried.append(record)
-            on_progress("grasps tried", RECORD * len(tried), course.grasps)
-        begins, ends = ends, ends + math.ceil(each.updates / teach.EPOCH)
-        if epoch < ends:
-            _teach(course, each, range(epoch, ends), begins, teacher, tried, on_progress)
-            epoch = ends
-    provenance: dict[str, Any] = {
-        "experiment": course.model_dump(mode="json", exclude={"start"}),
-        "start": started_with(start),
-        "actions": course.grasps,
-        "updates": course.updates,
-        "commit": software.commit(),
-        "validation": read_curve(out)[-1]["validation"],
-    }
+        return _try(course, course.rounds[number], first, player, out)
+
+    tries = Tries(
+        what="grasps tried",
+        total=course.grasps,
+        size=RECORD,
+        play=play,
+        lessons_of=_lessons_of,
+        judged=judged,
+    )
+    teach_in_rounds(course, out, teacher, tries, on_progress)
+    provenance = provenance_of(
+        course, start, actions=course.grasps, validation=read_curve(out)[-1]["validation"]
+    )
     path = out / WEIGHTS
     save_checkpoint(path, network, start.config, provenance)
     return path
@@ -99,31 +93,10 @@ def _foretell(network: TwinNet) -> Foretell:
     return foretell
 
 
-def _teach(
-    course: GraspCourse,
-    each: GraspRound,
-    epochs: range,
-    begins: int,
-    teacher: Teacher,
-    tried: Sequence[Path],
-    on_progress: Callable[[str, int, int], None],
-) -> None:
-    """What is left of a round, whose first epoch is `begins`."""
-    lessons, held_out = map(lessons_of, split([GraspRecord.load(path) for path in tried], RECORD))
-    Teaching(
-        directory=tried[0].parent,
-        seed=course.seed,
-        updates=each.updates,
-        batch=course.batch,
-        learning_rate=each.learning_rate,
-    ).go_on(
-        teacher,
-        lessons,
-        epochs,
-        begins=begins,
-        validated=lambda: judged(held_out, teacher.answers(held_out)),
-        on_epoch=lambda epoch: on_progress("updates", epoch * teach.EPOCH, course.updates),
-    )
+def _lessons_of(tried: Sequence[Path]) -> tuple[GraspLessons, GraspLessons]:
+    """To learn from, and held out."""
+    kept, out = split([GraspRecord.load(path) for path in tried], RECORD)
+    return lessons_of(kept), lessons_of(out)
 
 
 def judged(held_out: GraspLessons, logits: Array) -> GraspValidation:

@@ -7,7 +7,7 @@ A pure function of its task, in a process of its own: same task, same record.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,8 +39,8 @@ from tdpg_deploy.workspace import workspace_of
 from tools.train.config import Randomization
 from tools.train.laid import as_left, random_table, world_of
 from tools.train.randomize import randomized
+from tools.train.record import Record
 from tools.train.replay import pack_height
-from tools.train.whole import written_whole
 
 SURE = 0.97  # P_success of what a policy is about to do, from which on it is in no doubt ...
 KEPT = 0.06  # ... and of such looks so many are kept
@@ -65,7 +65,7 @@ class GraspTask:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GraspRecord:
+class GraspRecord(Record):
     """heights, colors: (n, 224, 224, ...) looks. grasps: (m, 4) look, rotation, row, column.
     held: (m,) by both witnesses."""
 
@@ -73,15 +73,6 @@ class GraspRecord:
     colors: npt.NDArray[np.uint8]
     grasps: npt.NDArray[np.int16]
     held: npt.NDArray[np.bool_]
-
-    def save(self, path: Path) -> None:
-        with written_whole(path) as file:
-            np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
-
-    @classmethod
-    def load(cls, path: Path) -> GraspRecord:
-        with np.load(path, allow_pickle=False) as arrays:
-            return cls(**{field.name: arrays[field.name] for field in fields(cls)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

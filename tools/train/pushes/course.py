@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,18 +16,16 @@ import torch
 
 from policies.checkpoint import Checkpoint, PolicyConfig, load_checkpoint, save_checkpoint
 from policies.networks.twin import TwinNet
-from tdpg_deploy.episode_log import software
 from tdpg_deploy.errors import ConfigError
 from tools.pool import process_pool
-from tools.train import teach
 from tools.train.claim import claim
 from tools.train.config import PushCourse, PushRound
 from tools.train.curve import Compared, PushValidation, read_curve
 from tools.train.hold_out import split
 from tools.train.pushes.lessons import ALL, Lessons, lessons_of
 from tools.train.pushes.play import PushRecord, PushTask, play_pushes
-from tools.train.run import WEIGHTS, started_with
-from tools.train.teach import Array, Teacher, Teaching, compared, cross_entropy, restore
+from tools.train.run import WEIGHTS, provenance_of
+from tools.train.teach import Array, Teacher, Tries, compared, cross_entropy, teach_in_rounds
 from tools.train.trainer import training_cell
 from tools.train.whole import written_whole
 
@@ -60,49 +57,30 @@ def teach_pushes(
         lambda cuts, places: (network.push_net.at(cuts, places),),
         weight_decay=course.weight_decay,
     )
-    epoch = restore(directory, teacher)
-    played: list[Path] = []
-    ends = 0  # epochs, at the end of a round
-    for number, each in enumerate(course.rounds):
+
+    def play(number: int, first: int) -> Iterator[Path]:
         chooser = directory / f"push_net-{number}.pt" if number else None
         if chooser is not None and not chooser.exists():
             with written_whole(chooser) as file:
                 torch.save(teacher.network.state_dict(), file)
-        for record in _play(course, each, len(played), chooser, directory):
-            played.append(record)
-            on_progress("pushes played", RECORD * len(played), course.pushes)
-        begins, ends = ends, ends + math.ceil(each.updates / teach.EPOCH)
-        if epoch < ends:
-            _teach(course, each, range(epoch, ends), begins, teacher, played, on_progress)
-            epoch = ends
+        return _play(course, course.rounds[number], first, chooser, directory)
+
+    tries = Tries(
+        what="pushes played",
+        total=course.pushes,
+        size=RECORD,
+        play=play,
+        lessons_of=_lessons_of,
+        judged=judged,
+    )
+    teach_in_rounds(course, directory, teacher, tries, on_progress)
     return _freeze(course, directory, out, network, start)
 
 
-def _teach(
-    course: PushCourse,
-    each: PushRound,
-    epochs: range,
-    begins: int,
-    teacher: Teacher,
-    played: Sequence[Path],
-    on_progress: Callable[[str, int, int], None],
-) -> None:
-    """What is left of a round, whose first epoch is `begins`."""
-    lessons, held_out = map(lessons_of, split([PushRecord.load(path) for path in played], RECORD))
-    Teaching(
-        directory=played[0].parent,
-        seed=course.seed,
-        updates=each.updates,
-        batch=course.batch,
-        learning_rate=each.learning_rate,
-    ).go_on(
-        teacher,
-        lessons,
-        epochs,
-        begins=begins,
-        validated=lambda: judged(held_out, teacher.answers(held_out)),
-        on_epoch=lambda epoch: on_progress("updates", epoch * teach.EPOCH, course.updates),
-    )
+def _lessons_of(played: Sequence[Path]) -> tuple[Lessons, Lessons]:
+    """To learn from, and held out."""
+    kept, out = split([PushRecord.load(path) for path in played], RECORD)
+    return lessons_of(kept), lessons_of(out)
 
 
 def judged(held_out: Lessons, logits: Array) -> PushValidation:
@@ -162,14 +140,12 @@ def _beside(path: Path, start: Checkpoint) -> TwinNet:
 def _freeze(
     course: PushCourse, directory: Path, out: Path, network: TwinNet, start: Checkpoint
 ) -> Path:
-    provenance: dict[str, Any] = {
-        "experiment": course.model_dump(mode="json", exclude={"start"}),
-        "start": started_with(start),
-        "actions": course.pushes,
-        "updates": course.updates,
-        "commit": software.commit(),
-        "validation": read_curve(directory)[-1]["validation"],
-    }
+    provenance = provenance_of(
+        course,
+        start,
+        actions=course.pushes,
+        validation=read_curve(directory)[-1]["validation"],
+    )
     out.mkdir(parents=True, exist_ok=True)
     path = out / WEIGHTS
     config = PolicyConfig(

@@ -6,7 +6,7 @@ A pure function of its task, in a process of its own: same task, same record.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeAlias
@@ -39,8 +39,8 @@ from tools.train.config import Randomization
 from tools.train.laid import as_left, random_table, world_of
 from tools.train.pushes.free import Flags, Owners, free, look, on_table, taken_by_grasps
 from tools.train.randomize import randomized
+from tools.train.record import Record
 from tools.train.replay import pack_height
-from tools.train.whole import written_whole
 
 Place: TypeAlias = tuple[int, int, int]  # rotation, row, column
 
@@ -74,7 +74,7 @@ class PushTask:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PushRecord:
+class PushRecord(Record):
     """heights, colors, owners: (n, 224, 224, ...) looks. free: (n, 30) which objects a grasp could
     take; stuck: (n,) no grasp could take any, if all was seen. objects: (n,) how many.
 
@@ -93,15 +93,6 @@ class PushRecord:
     free_after: npt.NDArray[np.bool_]
     on_table_after: npt.NDArray[np.bool_]
     taken_after: npt.NDArray[np.bool_]
-
-    def save(self, path: Path) -> None:
-        with written_whole(path) as file:
-            np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
-
-    @classmethod
-    def load(cls, path: Path) -> PushRecord:
-        with np.load(path, allow_pickle=False) as arrays:
-            return cls(**{field.name: arrays[field.name] for field in fields(cls)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
