@@ -162,12 +162,15 @@ class TrainConfig(_Section):
 
 
 class PushRound(_Section):
-    """So many pushes are played, then PushNet learns from these and all before in so many updates.
-    In the first round any allowed push is made, in others what PushNet values most by then."""
+    """So many pushes are played, then PushNet learns from these and those before, from round
+    `since` on (counted from 0), in so many updates. In the first round any allowed push is made, in
+    others what PushNet values most by then."""
 
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
     knots: bool = Field(False, description="only for goals that are hemmed in")
+    hard: bool = Field(False, description="mostly where PushNet's choice frees nothing")
+    since: int = Field(0, ge=0, description="the first round that is learnt from")
     explored: float = Field(
         0.0, ge=0, le=1, description="share of the pushes that are any, after the first round too"
     )
@@ -191,6 +194,9 @@ class PushCourse(_Section):
     def _teaches(self) -> PushCourse:
         if self.updates == 0:
             raise ValueError("no round has updates: nothing would be learnt")
+        for number, each in enumerate(self.rounds):
+            if each.since > number:
+                raise ValueError(f"round {number} learns from round {each.since} on: a later one")
         return self
 
     @property

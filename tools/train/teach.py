@@ -154,14 +154,14 @@ class Teaching:
 class Tries(Generic[SomeLessons]):
     """What a course tries, and what is made of it. what: for who watches; total: of the whole
     course; size: of a record. play: the records of a round, of which so many are there already.
-    lessons_of: records -> to learn from, and held out. judged: by what is held out and the logits
-    that it is given."""
+    lessons_of: a round's number and all records until then -> to learn from, and held out.
+    judged: by what is held out and the logits that it is given."""
 
     what: str
     total: int
     size: int
     play: Callable[[int, int], Iterator[Path]]
-    lessons_of: Callable[[Sequence[Path]], tuple[SomeLessons, SomeLessons]]
+    lessons_of: Callable[[int, Sequence[Path]], tuple[SomeLessons, SomeLessons]]
     judged: Callable[[SomeLessons, Array], PushValidation | GraspValidation]
 
 
@@ -172,8 +172,8 @@ def teach_in_rounds(
     tries: Tries[SomeLessons],
     on_progress: Callable[[str, int, int], None],
 ) -> None:
-    """Each round is played, and learnt with all before; or what is left of it. on_progress: is told
-    what is done, how much, and of how much."""
+    """Each round is played, and learnt with those before; or what is left of it. on_progress: is
+    told what is done, how much, and of how much."""
     epoch = restore(directory, teacher)
     played: list[Path] = []
     ends = 0  # epochs, at the end of a round
@@ -191,7 +191,7 @@ def teach_in_rounds(
                 batch=course.batch,
                 learning_rate=each.learning_rate,
             )
-            lessons, held_out = tries.lessons_of(played)
+            lessons, held_out = tries.lessons_of(number, played)
             teaching.go_on(
                 teacher,
                 lessons,

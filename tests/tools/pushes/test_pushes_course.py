@@ -52,7 +52,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def course_from(grasps: Path | None) -> PushCourse:
-    rounds = (PushRound(pushes=18, updates=4), PushRound(pushes=12, updates=2))
+    rounds = (PushRound(pushes=18, updates=4), PushRound(pushes=12, updates=2, since=1))
     return PushCourse(course="pushes", seed=1, rounds=rounds, batch=2, start=grasps)
 
 
@@ -147,19 +147,26 @@ def test_a_push_net_chooses_its_best_pushes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_knots_are_looks_at_something_that_is_hemmed_in(tmp_path: Path) -> None:
-    """And pushes are for its sake: they meet it or what stands near it."""
-    task = dataclasses.replace(task_for(tmp_path / "knots.npz", pushes=8), compact=1.0, knots=True)
+@pytest.mark.parametrize("hard", [False, True])
+def test_knots_are_looks_at_something_that_is_hemmed_in(hard: bool, tmp_path: Path) -> None:
+    """And pushes are for its sake: they meet it or what stands near it. In hard ones until it is
+    free."""
+    task = dataclasses.replace(
+        task_for(tmp_path / "knots.npz", pushes=8), compact=1.0, knots=True, hard=hard
+    )
     record = PushRecord.load(play_pushes(task))
     for look, objects in enumerate(record.objects):
         owners, tall = record.owners[look], unpack_height(record.heights[look]) > RISE
-        hemmed_in = 0.0
-        for goal in np.flatnonzero(~record.free[look, :objects]):
+        hemmed_in: dict[int, float] = {}
+        for goal in np.flatnonzero(~record.free[look, :objects]).tolist():
             around = scipy.ndimage.binary_dilation(owners == goal, np.ones((11, 11), np.bool_))
             around &= owners != goal
             if (owners == goal).sum() >= GOAL_PIXELS:
-                hemmed_in = max(hemmed_in, float(tall[around].mean()))
-        assert hemmed_in >= HEMMED_IN
+                hemmed_in[goal] = float(tall[around].mean())
+        goal = max(hemmed_in, key=hemmed_in.__getitem__)
+        assert hemmed_in[goal] >= HEMMED_IN
+        freed = record.free_after[record.pushes[:, 0] == look, goal]
+        assert not (hard and freed[:-1].any())
     assert np.bincount(record.pushes[:, 0]).max() > PUSHES_A_LOOK
 
 
@@ -178,6 +185,20 @@ def test_a_course_teaches_something() -> None:
     PushCourse(course="pushes", rounds=(played, PushRound(pushes=6, updates=1)))
     with pytest.raises(ValidationError, match="nothing would be learnt"):
         PushCourse(course="pushes", rounds=(played,))
+
+
+def test_a_round_learns_from_what_is_played_by_then(
+    small: None, grasps: Path, tmp_path: Path
+) -> None:
+    """And from enough of it: of the second round's one record none is held out."""
+    played = PushRound(pushes=12, updates=0)
+    with pytest.raises(ValidationError, match="round 1 learns from round 2 on"):
+        PushCourse(course="pushes", rounds=(played, PushRound(pushes=6, updates=1, since=2)))
+    rounds = (played, PushRound(pushes=6, updates=1, since=1))
+    course = PushCourse(course="pushes", rounds=rounds, start=grasps)
+    with pytest.raises(ConfigError, match="learns from records 2 to 2 of 6 pushes: too few"):
+        teach_pushes(course, tmp_path, tmp_path, on_progress=print)
+    assert not list(tmp_path.glob("*.npz"))
 
 
 def test_a_directory_belongs_to_one_course(small: None, grasps: Path, tmp_path: Path) -> None:

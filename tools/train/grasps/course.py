@@ -93,7 +93,7 @@ def _foretell(network: TwinNet) -> Foretell:
     return foretell
 
 
-def _lessons_of(tried: Sequence[Path]) -> tuple[GraspLessons, GraspLessons]:
+def _lessons_of(_number: int, tried: Sequence[Path]) -> tuple[GraspLessons, GraspLessons]:
     """To learn from, and held out."""
     kept, out = split([GraspRecord.load(path) for path in tried], RECORD)
     return lessons_of(kept), lessons_of(out)

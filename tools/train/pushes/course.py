@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +49,8 @@ def teach_pushes(
     """
     if course.start is None:
         raise ConfigError("a course of pushes is for a policy that grasps: give --from FILE")
-    first = math.ceil(course.rounds[0].pushes / RECORD)
-    split(range(first), RECORD)  # too few: said before anything is played
+    for number in range(len(course.rounds)):
+        _split(course, number)  # too few: said before anything is played
     start = load_checkpoint(course.start)
     network = _beside(course.start, start)
     claim(directory, course.model_dump(mode="json", exclude={"start", "workers"}))
@@ -70,17 +72,35 @@ def teach_pushes(
         total=course.pushes,
         size=RECORD,
         play=play,
-        lessons_of=_lessons_of,
+        lessons_of=partial(_lessons_of, course),
         judged=judged,
     )
     teach_in_rounds(course, directory, teacher, tries, on_progress)
     return _freeze(course, directory, out, network, start)
 
 
-def _lessons_of(played: Sequence[Path]) -> tuple[Lessons, Lessons]:
-    """To learn from, and held out."""
-    kept, out = split([PushRecord.load(path) for path in played], RECORD)
-    return lessons_of(kept), lessons_of(out)
+def _lessons_of(course: PushCourse, number: int, played: Sequence[Path]) -> tuple[Lessons, Lessons]:
+    """To learn from in this round, and held out."""
+    kept, out = _split(course, number)
+    return (
+        lessons_of([PushRecord.load(played[record]) for record in kept]),
+        lessons_of([PushRecord.load(played[record]) for record in out]),
+    )
+
+
+def _split(course: PushCourse, number: int) -> tuple[list[int], list[int]]:
+    """Which records this round learns from, and which are held out. Raises ConfigError where there
+    are none of either."""
+    ends = [0, *accumulate(math.ceil(each.pushes / RECORD) for each in course.rounds)]
+    first = ends[course.rounds[number].since]
+    kept, out = split(range(ends[number + 1]), RECORD)
+    kept, out = [each for each in kept if each >= first], [each for each in out if each >= first]
+    if not (kept and out):
+        raise ConfigError(
+            f"round {number} learns from records {first} to {ends[number + 1] - 1} of {RECORD} "
+            "pushes: too few to learn from some and be judged by others, give a smaller since"
+        )
+    return kept, out
 
 
 def judged(held_out: Lessons, logits: Array) -> PushValidation:
@@ -113,6 +133,7 @@ def _play(
             explored=each.explored,
             compact=each.compact,
             knots=each.knots,
+            hard=each.hard,
         )
         for number in range(first, first + math.ceil(each.pushes / RECORD))
     ]

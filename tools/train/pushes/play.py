@@ -50,7 +50,8 @@ STUCK = (
 FOR_A_GOAL = 0.4  # share of the pushes there that are made for one object's sake
 PUSHES_A_LOOK = 3
 HEMMED_IN = 0.65  # part of a goal's border that is occupied, from which on it is hemmed in ...
-PUSHES_A_KNOT = 6  # from a look at one that is, for most of them free nothing
+PUSHES_A_KNOT = 6  # from a look at one that is, for most of them free nothing ...
+PUSHES_A_HARD = 10  # ... and at one that is not freed by the first that are tried
 KINDS = (0.3, 0.4, 0.3)  # shares of pushes by how promising their kind is (policies/pushable.py)
 GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 
@@ -60,7 +61,8 @@ class PushTask:
     """Play until so many pushes were made; write the record to `file`. chooser: weights of a
     PushNet, of whose best pushes each look's are made; None: any that are allowed. explored: share
     that are any nevertheless. compact: share of the clusters that grow compact. knots: only looks
-    at something that is hemmed in are kept, and pushes are for what is so most."""
+    at something that is hemmed in are kept, and pushes are for what is so most. hard: a look is
+    left when that is freed, so most pushes begin where what is chosen frees nothing."""
 
     cell: CellConfig
     randomization: Randomization
@@ -71,6 +73,7 @@ class PushTask:
     explored: float = 0.0
     compact: float = 0.0
     knots: bool = False
+    hard: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,17 +109,18 @@ class _Look:
     def aimed(self, rng: np.random.Generator) -> Heightmap | None:
         """At all that stands there, or at an object that no grasp could take: its goal."""
         if self.knot:
-            return self._most_hemmed_in
+            return None if self.hemmed_in is None else self._at(self.hemmed_in)
         if self.stuck and rng.random() >= FOR_A_GOAL:
             return self.heightmap
         goals = self._goals()
         return self._at(rng.choice(goals)) if goals.size else None
 
     @cached_property
-    def _most_hemmed_in(self) -> Heightmap | None:
-        """Aimed at that goal; None where nothing is HEMMED_IN."""
-        aimed = max(map(self._at, self._goals()), key=border_occupancy, default=None)
-        return None if aimed is None or border_occupancy(aimed) < HEMMED_IN else aimed
+    def hemmed_in(self) -> int | None:
+        """That goal; None where nothing is HEMMED_IN."""
+        occupied = {goal: border_occupancy(self._at(goal)) for goal in self._goals().tolist()}
+        most = max(occupied, key=occupied.__getitem__, default=None)
+        return None if most is None or occupied[most] < HEMMED_IN else most
 
     def _at(self, goal: int) -> Heightmap:
         return replace(self.heightmap, goal=self.owners == goal)
@@ -173,7 +177,8 @@ def _try_table(
     scene, stuck = _settled(config, task.compact, rng)
     seen: _Look | None = None
     pushed = []
-    for _ in range(PUSHES_A_KNOT if task.knots else PUSHES_A_LOOK):
+    most = PUSHES_A_HARD if task.hard else PUSHES_A_KNOT if task.knots else PUSHES_A_LOOK
+    for _ in range(most):
         with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
             if seen is None:
                 heightmap, owners = look(cell)
@@ -195,6 +200,8 @@ def _try_table(
                 taken = taken_by_grasps(world) if stuck else np.zeros_like(left)
                 now_free = free(heightmap, owners, len(left))
                 pushed.append(_Pushed(place=place, free=now_free, on_table=left, taken=taken))
+                if task.hard and seen.hemmed_in is not None and now_free[seen.hemmed_in]:
+                    break
     assert seen is not None
     return seen, pushed
 
