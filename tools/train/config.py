@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from policies.networks.build import WIDTHS
 from tdpg_deploy.errors import ConfigError
+from tdpg_deploy.sim.bodies import SHAPES
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -170,12 +171,20 @@ class PushRound(_Section):
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
     knots: bool = Field(False, description="only for goals that are hemmed in")
     hard: bool = Field(False, description="mostly where PushNet's choice frees nothing")
+    shapes: tuple[str, ...] = Field(tuple(SHAPES), min_length=1, description="of the blocks")
     since: int = Field(0, ge=0, description="the first round that is learnt from")
     explored: float = Field(
         0.0, ge=0, le=1, description="share of the pushes that are any, after the first round too"
     )
     updates: int = Field(ge=0)
     learning_rate: float = Field(1e-3, gt=0)
+
+    @model_validator(mode="after")
+    def _blocks_have_these_shapes(self) -> PushRound:
+        unknown = sorted({*self.shapes} - {*SHAPES})
+        if unknown:
+            raise ValueError(f"no block is a {unknown[0]}: name some of {', '.join(SHAPES)}")
+        return self
 
 
 class PushCourse(_Section):

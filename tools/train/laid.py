@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from policies.heightmap import Workspace
 from tdpg_deploy.cell import Cell
-from tdpg_deploy.sim.bodies import SHAPES
+from tdpg_deploy.sim.bodies import SHAPES, Shape
 from tdpg_deploy.sim.clusters import clustered_scene
 from tdpg_deploy.sim.random_shapes import odd_shapes
 from tdpg_deploy.sim.scenes import MAX_PACKED, Scene, packed_scene, random_scene
@@ -20,10 +20,15 @@ ODD, HEAPS, PACKS = 0.12, 0.12, 0.23  # shares of tables of stones, in heaps, in
 HEAP = (3, 25)  # objects
 
 
-def random_table(workspace: Workspace, compact: float, rng: np.random.Generator) -> Scene:
-    """Mostly clusters, where pushes matter. compact: share of them that grow compact. Raises
-    SceneError."""
-    shapes = odd_shapes(rng) if rng.random() < ODD else SHAPES
+def random_table(
+    workspace: Workspace,
+    compact: float,
+    rng: np.random.Generator,
+    blocks: Mapping[str, Shape] = SHAPES,
+) -> Scene:
+    """Mostly clusters, where pushes matter. compact: share of them that grow compact. blocks: what
+    there is, besides stones. Raises SceneError."""
+    shapes = odd_shapes(rng) if rng.random() < ODD else blocks
     kind = rng.random()
     if kind < HEAPS:
         return random_scene(int(rng.integers(HEAP[0], HEAP[1] + 1)), workspace, rng, shapes)

@@ -134,6 +134,7 @@ def _play(
             compact=each.compact,
             knots=each.knots,
             hard=each.hard,
+            shapes=each.shapes,
         )
         for number in range(first, first + math.ceil(each.pushes / RECORD))
     ]

@@ -33,6 +33,7 @@ from tdpg_deploy.errors import DeviceError, PlanRefused, SceneError
 from tdpg_deploy.execution import execute, make_ready
 from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.safety import check
+from tdpg_deploy.sim.bodies import SHAPES
 from tdpg_deploy.sim.scenes import MAX_OBJECTS, Scene
 from tdpg_deploy.workspace import workspace_of
 from tools.train.config import Randomization
@@ -62,7 +63,8 @@ class PushTask:
     PushNet, of whose best pushes each look's are made; None: any that are allowed. explored: share
     that are any nevertheless. compact: share of the clusters that grow compact. knots: only looks
     at something that is hemmed in are kept, and pushes are for what is so most. hard: a look is
-    left when that is freed, so most pushes begin where what is chosen frees nothing."""
+    left when that is freed, so most pushes begin where what is chosen frees nothing. shapes: of the
+    blocks."""
 
     cell: CellConfig
     randomization: Randomization
@@ -74,6 +76,7 @@ class PushTask:
     compact: float = 0.0
     knots: bool = False
     hard: bool = False
+    shapes: tuple[str, ...] = tuple(SHAPES)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,7 +177,8 @@ def _try_table(
     config: CellConfig, choose: Choose, task: PushTask, rng: np.random.Generator
 ) -> tuple[_Look, list[_Pushed]]:
     """One look, and pushes that begin from it: each on a table of its own that is laid the same."""
-    scene, stuck = _settled(config, task.compact, rng)
+    blocks = {name: SHAPES[name] for name in task.shapes}
+    scene, stuck = _settled(config, partial(random_table, compact=task.compact, blocks=blocks), rng)
     seen: _Look | None = None
     pushed = []
     most = PUSHES_A_HARD if task.hard else PUSHES_A_KNOT if task.knots else PUSHES_A_LOOK
@@ -206,9 +210,11 @@ def _try_table(
     return seen, pushed
 
 
-def _settled(config: CellConfig, compact: float, rng: np.random.Generator) -> tuple[Scene, bool]:
+def _settled(
+    config: CellConfig, table: Callable[..., Scene], rng: np.random.Generator
+) -> tuple[Scene, bool]:
     """A table at rest, and whether all that lies on it is what no grasp could take."""
-    scene = random_table(workspace_of(config), compact, rng)
+    scene = table(workspace_of(config), rng=rng)
     with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
         world = world_of(cell)
         at_rest = world.objects()
