@@ -170,7 +170,7 @@ class PushRound(_Section):
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
     knots: bool = Field(False, description="only for goals that are hemmed in")
-    hard: bool = Field(False, description="mostly where PushNet's choice frees nothing")
+    hard: bool = Field(False, description="of knots, mostly where PushNet's choice frees nothing")
     shapes: tuple[str, ...] = Field(tuple(SHAPES), min_length=1, description="of the blocks")
     since: int = Field(0, ge=0, description="the first round that is learnt from")
     explored: float = Field(
@@ -184,6 +184,12 @@ class PushRound(_Section):
         unknown = sorted({*self.shapes} - {*SHAPES})
         if unknown:
             raise ValueError(f"no block is a {unknown[0]}: name some of {', '.join(SHAPES)}")
+        return self
+
+    @model_validator(mode="after")
+    def _hard_ones_are_knots(self) -> PushRound:
+        if self.hard and not self.knots:
+            raise ValueError("hard = true asks for looks at one goal: set knots = true too")
         return self
 
 

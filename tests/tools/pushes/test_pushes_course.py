@@ -187,6 +187,8 @@ def test_a_course_teaches_something() -> None:
         PushCourse(course="pushes", rounds=(played,))
     with pytest.raises(ValidationError, match="no block is a ball: name some of arch, bar"):
         PushRound(pushes=6, updates=1, shapes=("bar", "ball"))
+    with pytest.raises(ValidationError, match="set knots = true too"):
+        PushRound(pushes=6, updates=1, hard=True)
 
 
 def test_a_round_learns_from_what_is_played_by_then(

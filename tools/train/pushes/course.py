@@ -91,7 +91,7 @@ def _lessons_of(course: PushCourse, number: int, played: Sequence[Path]) -> tupl
 def _split(course: PushCourse, number: int) -> tuple[list[int], list[int]]:
     """Which records this round learns from, and which are held out. Raises ConfigError where there
     are none of either."""
-    ends = [0, *accumulate(math.ceil(each.pushes / RECORD) for each in course.rounds)]
+    ends = [0, *accumulate(map(_records, course.rounds))]
     first = ends[course.rounds[number].since]
     kept, out = split(range(ends[number + 1]), RECORD)
     kept, out = [each for each in kept if each >= first], [each for each in out if each >= first]
@@ -101,6 +101,10 @@ def _split(course: PushCourse, number: int) -> tuple[list[int], list[int]]:
             "pushes: too few to learn from some and be judged by others, give a smaller since"
         )
     return kept, out
+
+
+def _records(each: PushRound) -> int:
+    return math.ceil(each.pushes / RECORD)
 
 
 def judged(held_out: Lessons, logits: Array) -> PushValidation:
@@ -136,7 +140,7 @@ def _play(
             hard=each.hard,
             shapes=each.shapes,
         )
-        for number in range(first, first + math.ceil(each.pushes / RECORD))
+        for number in range(first, first + _records(each))
     ]
     with process_pool(course.workers) as pool:
         yield from pool.map(play_pushes, tasks)

@@ -62,9 +62,9 @@ class PushTask:
     """Play until so many pushes were made; write the record to `file`. chooser: weights of a
     PushNet, of whose best pushes each look's are made; None: any that are allowed. explored: share
     that are any nevertheless. compact: share of the clusters that grow compact. knots: only looks
-    at something that is hemmed in are kept, and pushes are for what is so most. hard: a look is
-    left when that is freed, so most pushes begin where what is chosen frees nothing. shapes: of the
-    blocks."""
+    at something that is hemmed in are kept, and pushes are for what is so most. hard: and a look
+    is left when that is freed, so most pushes begin where what is chosen frees nothing. shapes: of
+    the blocks."""
 
     cell: CellConfig
     randomization: Randomization
@@ -177,8 +177,7 @@ def _try_table(
     config: CellConfig, choose: Choose, task: PushTask, rng: np.random.Generator
 ) -> tuple[_Look, list[_Pushed]]:
     """One look, and pushes that begin from it: each on a table of its own that is laid the same."""
-    blocks = {name: SHAPES[name] for name in task.shapes}
-    scene, stuck = _settled(config, partial(random_table, compact=task.compact, blocks=blocks), rng)
+    scene, stuck = _settled(config, task, rng)
     seen: _Look | None = None
     pushed = []
     most = PUSHES_A_HARD if task.hard else PUSHES_A_KNOT if task.knots else PUSHES_A_LOOK
@@ -210,11 +209,10 @@ def _try_table(
     return seen, pushed
 
 
-def _settled(
-    config: CellConfig, table: Callable[..., Scene], rng: np.random.Generator
-) -> tuple[Scene, bool]:
+def _settled(config: CellConfig, task: PushTask, rng: np.random.Generator) -> tuple[Scene, bool]:
     """A table at rest, and whether all that lies on it is what no grasp could take."""
-    scene = table(workspace_of(config), rng=rng)
+    blocks = {name: SHAPES[name] for name in task.shapes}
+    scene = random_table(workspace_of(config), task.compact, rng, blocks)
     with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
         world = world_of(cell)
         at_rest = world.objects()
