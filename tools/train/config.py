@@ -169,7 +169,10 @@ class PushRound(_Section):
 
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
-    knots: bool = Field(False, description="only for goals that are hemmed in")
+    enclosed: float = Field(0.0, ge=0, le=1, description="share of tables of one block enclosed")
+    knots: float = Field(
+        0.0, ge=0, le=1, description="only for goals of whose border such a part is occupied"
+    )
     hard: bool = Field(False, description="of knots, mostly where PushNet's choice frees nothing")
     shapes: tuple[str, ...] = Field(tuple(SHAPES), min_length=1, description="of the blocks")
     since: int = Field(0, ge=0, description="the first round that is learnt from")
@@ -188,8 +191,8 @@ class PushRound(_Section):
 
     @model_validator(mode="after")
     def _hard_ones_are_knots(self) -> PushRound:
-        if self.hard and not self.knots:
-            raise ValueError("hard = true asks for looks at one goal: set knots = true too")
+        if self.hard and self.knots == 0:
+            raise ValueError("hard = true asks for looks at one goal: set knots too")
         return self
 
 

@@ -136,6 +136,7 @@ def _play(
             chooser=chooser,
             explored=each.explored,
             compact=each.compact,
+            enclosed=each.enclosed,
             knots=each.knots,
             hard=each.hard,
             shapes=each.shapes,
