@@ -110,3 +110,20 @@ def test_mirrored_questions_have_mirrored_places() -> None:
         torch.testing.assert_close(
             cut[state.RED : state.GOAL].sum(0), expected[state.RED : state.GOAL].sum(0)
         )
+
+
+def test_colours_are_changed_of_each_thing_for_itself() -> None:
+    """Of all six orders, and not of both blocks and the table alike."""
+    colors = {-1: (10, 20, 30), 0: (40, 50, 60), 1: (70, 80, 90)}
+    played = record(pushes=[(0, 0, 150, 131)])
+    for thing, color in colors.items():
+        played.colors[0][played.owners[0] == thing] = color
+    lessons = lessons_of([played])
+    cuts, _ = lessons.questions(np.zeros(64, np.intp), np.random.default_rng(0))
+    shown = cuts[:, state.RED : state.GOAL, ::8, ::8].flatten(2).permute(0, 2, 1) * 255
+    orders = [
+        [tuple(np.argsort(each).tolist()) for each in np.unique(cut.round(), axis=0) if each.any()]
+        for cut in shown.numpy()
+    ]
+    assert len({order for each in orders for order in each}) == 6
+    assert sum(len(set(each)) > 1 for each in orders) > 40

@@ -17,6 +17,7 @@ from policies.rotation import around
 from policies.standing import RISE
 from policies.state import stacked
 from tdpg_deploy.choosing import GOAL_PIXELS
+from tdpg_deploy.sim.scenes import MAX_OBJECTS
 from tools.train.cut import METRES, cut
 from tools.train.pushes.play import PushRecord
 from tools.train.replay import UNSEEN
@@ -54,8 +55,8 @@ class Lessons:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Patches (n, 7, PATCH, PATCH) and places (n, 2), as PushNet is shown them.
 
-        rng: half of them mirrored, and colours changed with each other: a gripper and a table have
-        no left and right, and colours mean nothing to a block.
+        rng: half of them mirrored, and the colours of each thing changed with each other: a gripper
+        and a table have no left and right, and colours mean nothing to a block.
         """
         pushes, goals = self.push[picks], self.goal[picks, None, None]
         height, color, owner = self.heights[pushes], self.colors[pushes], self.owners[pushes]
@@ -65,15 +66,23 @@ class Lessons:
             for picture in (height, color, owner):
                 picture[mirrored] = picture[mirrored][:, :, ::-1]
             places[mirrored, 0] *= -1
-            channels = rng.permuted(np.tile(np.arange(3), (len(picks), 1)), axis=1)
             color = np.stack(
-                [each[..., order] for each, order in zip(color, channels, strict=True)]
+                [_recolored(*each, rng) for each in zip(color, owner, strict=True)]
             )
         metres = METRES[height]
         with np.errstate(invalid="ignore"):
             goal = np.where(goals == ALL, metres > RISE, owner == goals)
         patches = stacked(owner != OUTSIDE, metres, color, goal)
         return torch.from_numpy(patches), torch.from_numpy(places)
+
+
+def _recolored(
+    color: npt.NDArray[np.uint8], owner: npt.NDArray[np.int8], rng: np.random.Generator
+) -> npt.NDArray[np.uint8]:
+    """(h, w, 3), (h, w): of every object, and of what is none, red, green and blue changed with
+    each other."""
+    things = np.tile(np.arange(3), (MAX_OBJECTS - OUTSIDE, 1))  # those below zero are the last
+    return np.take_along_axis(color, rng.permuted(things, axis=1)[owner], axis=-1)
 
 
 def lessons_of(records: Sequence[PushRecord]) -> Lessons:
