@@ -164,9 +164,10 @@ class TrainConfig(_Section):
 
 class PushRound(_Section):
     """So many pushes are played, then PushNet learns from these and those before, from round
-    `since` on (counted from 0), in so many updates. In the first round any allowed push is made, in
-    others what PushNet values most by then."""
+    `since` on (counted from 0, all `times`), in so many updates. In the first round any allowed
+    push is made, in others what PushNet values most by then."""
 
+    times: int = Field(1, ge=1, description="so many rounds like this one")
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
     enclosed: float = Field(0.0, ge=0, le=1, description="share of tables of one block enclosed")
@@ -212,19 +213,24 @@ class PushCourse(_Section):
     def _teaches(self) -> PushCourse:
         if self.updates == 0:
             raise ValueError("no round has updates: nothing would be learnt")
-        for number, each in enumerate(self.rounds):
+        for number, each in enumerate(self.in_turn):
             if each.since > number:
                 raise ValueError(f"round {number} learns from round {each.since} on: a later one")
         return self
 
     @property
+    def in_turn(self) -> tuple[PushRound, ...]:
+        """Its rounds, each as many times as it says."""
+        return tuple(each for each in self.rounds for _ in range(each.times))
+
+    @property
     def pushes(self) -> int:
         """Of the whole course."""
-        return sum(each.pushes for each in self.rounds)
+        return sum(each.pushes for each in self.in_turn)
 
     @property
     def updates(self) -> int:
-        return sum(each.updates for each in self.rounds)
+        return sum(each.updates for each in self.in_turn)
 
 
 class GraspRound(_Section):

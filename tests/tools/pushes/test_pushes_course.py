@@ -194,6 +194,8 @@ def test_a_course_teaches_something() -> None:
     PushCourse(course="pushes", rounds=(played, PushRound(pushes=6, updates=1)))
     with pytest.raises(ValidationError, match="nothing would be learnt"):
         PushCourse(course="pushes", rounds=(played,))
+    often = PushCourse(course="pushes", rounds=(PushRound(times=3, pushes=6, updates=2),))
+    assert (len(often.in_turn), often.pushes, often.updates) == (3, 18, 6)
     with pytest.raises(ValidationError, match="no block is a ball: name some of arch, bar"):
         PushRound(pushes=6, updates=1, shapes=("bar", "ball"))
     with pytest.raises(ValidationError, match="set knots too"):

@@ -66,9 +66,7 @@ class Lessons:
             for picture in (height, color, owner):
                 picture[mirrored] = picture[mirrored][:, :, ::-1]
             places[mirrored, 0] *= -1
-            color = np.stack(
-                [_recolored(*each, rng) for each in zip(color, owner, strict=True)]
-            )
+            color = np.stack([_recolored(*each, rng) for each in zip(color, owner, strict=True)])
         metres = METRES[height]
         with np.errstate(invalid="ignore"):
             goal = np.where(goals == ALL, metres > RISE, owner == goals)
