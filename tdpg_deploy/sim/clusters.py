@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -17,8 +17,7 @@ from tdpg_deploy.sim.scenes import PALETTE, SPAWN_MARGIN, Scene, SceneObject
 CLUSTERS = (1, 1, 1, 2, 3)  # on one table, by equal chance
 ALONE = (2, 9)  # objects of a cluster that has the table to itself, at least and at most ...
 BESIDE_OTHERS = (2, 4)  # ... and of one that has not
-CROWD = (5, 9)  # of a compact one ...
-CLOSED_IN = (6, 10)  # ... and of one around its first
+CROWD = (5, 9)  # of a compact one
 KINDS = (1, 3)  # of objects in one cluster
 STACKED = 0.12  # share that is put on top of another
 GAP = (0.0003, 0.002)  # m between neighbours; a finger is 18 mm thick
@@ -56,27 +55,11 @@ def clustered_scene(
     small, so that what stands in the middle is hemmed in."""
     count = 1 if compact else int(rng.choice(CLUSTERS))
     size = CROWD if compact else ALONE if count == 1 else BESIDE_OTHERS
-    chosen_from = CHOSEN_FROM if compact else 1
-    clusters = (_cluster(rng, shapes, size, chosen_from) for _ in range(count))
-    return _laid(clusters, workspace, rng)
-
-
-def enclosed_scene(
-    workspace: Workspace, rng: np.random.Generator, shapes: Mapping[str, Shape] = SHAPES
-) -> Scene:
-    """One cluster somewhere on the table, each of it put beside its first, as long as there is
-    room: that is hemmed in, mostly from all sides."""
-    return _laid([_cluster(rng, shapes, CLOSED_IN, CHOSEN_FROM, around=1)], workspace, rng)
-
-
-def _laid(
-    clusters: Iterable[Sequence[_Placed]], workspace: Workspace, rng: np.random.Generator
-) -> Scene:
-    """Those for which there is room, each turned somehow."""
     taken: list[tuple[Array, float]] = []  # middles, and radii around them
     objects: list[SceneObject] = []
     first = int(rng.integers(len(PALETTE)))
-    for cluster in clusters:
+    for _ in range(count):
+        cluster = _cluster(rng, shapes, size, CHOSEN_FROM if compact else 1)
         low = np.min([item.low for item in cluster], axis=0)[:2]
         high = np.max([item.high for item in cluster], axis=0)[:2]
         radius = float(np.hypot(*(high - low))) / 2
@@ -100,22 +83,13 @@ def _laid(
 
 
 def _cluster(
-    rng: np.random.Generator,
-    shapes: Mapping[str, Shape],
-    size: tuple[int, int],
-    chosen_from: int,
-    *,
-    around: int = 0,
+    rng: np.random.Generator, shapes: Mapping[str, Shape], size: tuple[int, int], chosen_from: int
 ) -> list[_Placed]:
-    """chosen_from: so many places, for where it stays smallest. around: beside so many of the
-    first before any others, wherever there is room."""
     names = rng.choice(sorted(shapes), rng.integers(KINDS[0], KINDS[1] + 1))
     kinds = [shapes[name] for name in names]
     cluster: list[_Placed] = []
     for _ in range(int(rng.integers(size[0], size[1] + 1))):
-        first = _places(cluster, cluster[:around], kinds, rng, stacked=0.0) if around else iter(())
-        anywhere = _places(cluster, cluster, kinds, rng, stacked=STACKED)
-        places = list(islice(first, 1)) or islice(anywhere, chosen_from)
+        places = islice(_places(cluster, kinds, rng), chosen_from)
         placed = min(places, key=lambda place: _volume((*cluster, place)), default=None)
         if placed is not None:
             cluster.append(placed)
@@ -123,20 +97,14 @@ def _cluster(
 
 
 def _places(
-    cluster: Sequence[_Placed],
-    beside: Sequence[_Placed],
-    kinds: Sequence[Shape],
-    rng: np.random.Generator,
-    *,
-    stacked: float,
+    cluster: Sequence[_Placed], kinds: Sequence[Shape], rng: np.random.Generator
 ) -> Iterator[_Placed]:
-    """Where one more of these shapes fits, at random: beside one of those, or that share of them on
-    top of it."""
+    """Where one more of these shapes fits, at random."""
     for _ in range(TRIES):
         shape = kinds[int(rng.integers(len(kinds)))]
         turn = Rotation.from_euler("z", np.pi / 2 * rng.integers(2))
         sides = np.ptp(turn.apply(shape.vertices), axis=0)
-        low = _beside_or_on(beside, sides, rng, stacked)
+        low = _beside_or_on(cluster, sides, rng)
         if low is None:
             continue
         placed = _Placed(shape=shape, turn=turn, low=low, high=low + sides)
@@ -151,15 +119,15 @@ def _volume(cluster: Sequence[_Placed]) -> float:
 
 
 def _beside_or_on(
-    placed: Sequence[_Placed], sides: Array, rng: np.random.Generator, stacked: float
+    cluster: Sequence[_Placed], sides: Array, rng: np.random.Generator
 ) -> Array | None:
     """(3,) low corner for a box with these sides; None where there is none of that kind."""
-    if not placed:
+    if not cluster:
         return np.zeros(3)
-    other = placed[int(rng.integers(len(placed)))]
+    other = cluster[int(rng.integers(len(cluster)))]
     if not other.stands:
         return None
-    if rng.random() < stacked:
+    if rng.random() < STACKED:
         if other.shape.rolls:
             return None
         middle = (other.low + other.high)[:2] / 2

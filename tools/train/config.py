@@ -164,16 +164,12 @@ class TrainConfig(_Section):
 
 class PushRound(_Section):
     """So many pushes are played, then PushNet learns from these and those before, from round
-    `since` on (counted from 0, all `times`), in so many updates. In the first round any allowed
-    push is made, in others what PushNet values most by then."""
+    `since` on (counted from 0), in so many updates. In the first round any allowed push is made, in
+    others what PushNet values most by then."""
 
-    times: int = Field(1, ge=1, description="so many rounds like this one")
     pushes: int = Field(ge=1)
     compact: float = Field(0.0, ge=0, le=1, description="share of clusters that grow compact")
-    enclosed: float = Field(0.0, ge=0, le=1, description="share of tables of one block enclosed")
-    knots: float = Field(
-        0.0, ge=0, le=1, description="only for goals of whose border such a part is occupied"
-    )
+    knots: bool = Field(False, description="only for goals that are hemmed in")
     hard: bool = Field(False, description="of knots, mostly where PushNet's choice frees nothing")
     shapes: tuple[str, ...] = Field(tuple(SHAPES), min_length=1, description="of the blocks")
     since: int = Field(0, ge=0, description="the first round that is learnt from")
@@ -192,8 +188,8 @@ class PushRound(_Section):
 
     @model_validator(mode="after")
     def _hard_ones_are_knots(self) -> PushRound:
-        if self.hard and self.knots == 0:
-            raise ValueError("hard = true asks for looks at one goal: set knots too")
+        if self.hard and not self.knots:
+            raise ValueError("hard = true asks for looks at one goal: set knots = true too")
         return self
 
 
@@ -213,24 +209,19 @@ class PushCourse(_Section):
     def _teaches(self) -> PushCourse:
         if self.updates == 0:
             raise ValueError("no round has updates: nothing would be learnt")
-        for number, each in enumerate(self.in_turn):
+        for number, each in enumerate(self.rounds):
             if each.since > number:
                 raise ValueError(f"round {number} learns from round {each.since} on: a later one")
         return self
 
     @property
-    def in_turn(self) -> tuple[PushRound, ...]:
-        """Its rounds, each as many times as it says."""
-        return tuple(each for each in self.rounds for _ in range(each.times))
-
-    @property
     def pushes(self) -> int:
         """Of the whole course."""
-        return sum(each.pushes for each in self.in_turn)
+        return sum(each.pushes for each in self.rounds)
 
     @property
     def updates(self) -> int:
-        return sum(each.updates for each in self.in_turn)
+        return sum(each.updates for each in self.rounds)
 
 
 class GraspRound(_Section):

@@ -167,7 +167,6 @@ class Tries(Generic[SomeLessons]):
 
 def teach_in_rounds(
     course: PushCourse | GraspCourse,
-    rounds: Sequence[PushRound | GraspRound],
     directory: Path,
     teacher: Teacher,
     tries: Tries[SomeLessons],
@@ -178,6 +177,7 @@ def teach_in_rounds(
     epoch = restore(directory, teacher)
     played: list[Path] = []
     ends = 0  # epochs, at the end of a round
+    rounds: Sequence[PushRound | GraspRound] = course.rounds
     for number, each in enumerate(rounds):
         for record in tries.play(number, len(played)):
             played.append(record)

@@ -76,7 +76,7 @@ def teach_grasps(
         lessons_of=_lessons_of,
         judged=judged,
     )
-    teach_in_rounds(course, course.rounds, out, teacher, tries, on_progress)
+    teach_in_rounds(course, out, teacher, tries, on_progress)
     provenance = provenance_of(
         course, start, actions=course.grasps, validation=read_curve(out)[-1]["validation"]
     )

@@ -49,7 +49,7 @@ def teach_pushes(
     """
     if course.start is None:
         raise ConfigError("a course of pushes is for a policy that grasps: give --from FILE")
-    for number in range(len(course.in_turn)):
+    for number in range(len(course.rounds)):
         _split(course, number)  # too few: said before anything is played
     start = load_checkpoint(course.start)
     network = _beside(course.start, start)
@@ -65,7 +65,7 @@ def teach_pushes(
         if chooser is not None and not chooser.exists():
             with written_whole(chooser) as file:
                 torch.save(teacher.network.state_dict(), file)
-        return _play(course, course.in_turn[number], first, chooser, directory)
+        return _play(course, course.rounds[number], first, chooser, directory)
 
     tries = Tries(
         what="pushes played",
@@ -75,7 +75,7 @@ def teach_pushes(
         lessons_of=partial(_lessons_of, course),
         judged=judged,
     )
-    teach_in_rounds(course, course.in_turn, directory, teacher, tries, on_progress)
+    teach_in_rounds(course, directory, teacher, tries, on_progress)
     return _freeze(course, directory, out, network, start)
 
 
@@ -91,8 +91,8 @@ def _lessons_of(course: PushCourse, number: int, played: Sequence[Path]) -> tupl
 def _split(course: PushCourse, number: int) -> tuple[list[int], list[int]]:
     """Which records this round learns from, and which are held out. Raises ConfigError where there
     are none of either."""
-    ends = [0, *accumulate(map(_records, course.in_turn))]
-    first = ends[course.in_turn[number].since]
+    ends = [0, *accumulate(map(_records, course.rounds))]
+    first = ends[course.rounds[number].since]
     kept, out = split(range(ends[number + 1]), RECORD)
     kept, out = [each for each in kept if each >= first], [each for each in out if each >= first]
     if not (kept and out):
@@ -136,7 +136,6 @@ def _play(
             chooser=chooser,
             explored=each.explored,
             compact=each.compact,
-            enclosed=each.enclosed,
             knots=each.knots,
             hard=each.hard,
             shapes=each.shapes,

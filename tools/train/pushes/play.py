@@ -34,7 +34,6 @@ from tdpg_deploy.execution import execute, make_ready
 from tdpg_deploy.motion import plan_primitive
 from tdpg_deploy.safety import check
 from tdpg_deploy.sim.bodies import SHAPES
-from tdpg_deploy.sim.clusters import enclosed_scene
 from tdpg_deploy.sim.scenes import MAX_OBJECTS, Scene
 from tdpg_deploy.workspace import workspace_of
 from tools.train.config import Randomization
@@ -51,7 +50,8 @@ STUCK = (
 )
 FOR_A_GOAL = 0.4  # share of the pushes there that are made for one object's sake
 PUSHES_A_LOOK = 3
-PUSHES_A_KNOT = 6  # at a goal that is hemmed in, for most of them free nothing ...
+HEMMED_IN = 0.65  # part of a goal's border that is occupied, from which on it is hemmed in ...
+PUSHES_A_KNOT = 6  # from a look at one that is, for most of them free nothing ...
 PUSHES_A_HARD = 10  # ... and at one that is not freed by the first that are tried
 KINDS = (0.3, 0.4, 0.3)  # shares of pushes by how promising their kind is (policies/pushable.py)
 GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
@@ -61,11 +61,10 @@ GOAL_KINDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 class PushTask:
     """Play until so many pushes were made; write the record to `file`. chooser: weights of a
     PushNet, of whose best pushes each look's are made; None: any that are allowed. explored: share
-    that are any nevertheless. compact: share of the clusters that grow compact. enclosed: share of
-    the tables that are one cluster around its first block. knots: only looks at something of whose
-    border such a part is occupied are kept, if it is not 0, and pushes are for what is hemmed in
-    most. hard: and a look is left when that is freed, so most pushes begin where what is chosen
-    frees nothing. shapes: of the blocks."""
+    that are any nevertheless. compact: share of the clusters that grow compact. knots: only looks
+    at something that is hemmed in are kept, and pushes are for what is so most. hard: and a look
+    is left when that is freed, so most pushes begin where what is chosen frees nothing. shapes: of
+    the blocks."""
 
     cell: CellConfig
     randomization: Randomization
@@ -75,8 +74,7 @@ class PushTask:
     chooser: Path | None = None
     explored: float = 0.0
     compact: float = 0.0
-    enclosed: float = 0.0
-    knots: float = 0.0
+    knots: bool = False
     hard: bool = False
     shapes: tuple[str, ...] = tuple(SHAPES)
 
@@ -109,7 +107,7 @@ class _Look:
     owners: Owners
     free: Flags
     stuck: bool
-    knot: float  # if not 0, pushes are for what is most hemmed in, such a part of its border
+    knot: bool  # pushes are for the goal that is most hemmed in
 
     def aimed(self, rng: np.random.Generator) -> Heightmap | None:
         """At all that stands there, or at an object that no grasp could take: its goal."""
@@ -122,10 +120,10 @@ class _Look:
 
     @cached_property
     def hemmed_in(self) -> int | None:
-        """That goal; None where none is so much."""
+        """That goal; None where nothing is HEMMED_IN."""
         occupied = {goal: border_occupancy(self._at(goal)) for goal in self._goals().tolist()}
         most = max(occupied, key=occupied.__getitem__, default=None)
-        return None if most is None or occupied[most] < self.knot else most
+        return None if most is None or occupied[most] < HEMMED_IN else most
 
     def _at(self, goal: int) -> Heightmap:
         return replace(self.heightmap, goal=self.owners == goal)
@@ -213,20 +211,14 @@ def _try_table(
 
 def _settled(config: CellConfig, task: PushTask, rng: np.random.Generator) -> tuple[Scene, bool]:
     """A table at rest, and whether all that lies on it is what no grasp could take."""
-    workspace = workspace_of(config)
     blocks = {name: SHAPES[name] for name in task.shapes}
-    enclosed = task.enclosed > 0 and rng.random() < task.enclosed
-    if enclosed:
-        scene = enclosed_scene(workspace, rng, blocks)
-    else:
-        scene = random_table(workspace, task.compact, rng, blocks)
+    scene = random_table(workspace_of(config), task.compact, rng, blocks)
     with open_cell(config, scene=scene, seed=int(rng.integers(2**31))) as cell:
         world = world_of(cell)
-        at_rest, kept, stuck = world.objects(), on_table(world), False
-        if not enclosed:
-            held_fast = kept & ~taken_by_grasps(world)
-            stuck = bool(held_fast.sum() >= 2 and rng.random() < STUCK)
-            kept = held_fast if stuck else kept
+        at_rest = world.objects()
+        held_fast = on_table(world) & ~taken_by_grasps(world)
+        stuck = bool(held_fast.sum() >= 2 and rng.random() < STUCK)
+        kept = held_fast if stuck else on_table(world)
     return as_left(scene, at_rest, kept.tolist()), stuck
 
 
