@@ -66,6 +66,15 @@ def graspable(heightmap: Heightmap, ground: Ground) -> Mask:
     return np.concatenate((half, half))
 
 
+def sure_grasps(heightmap: Heightmap, on: Mask) -> Mask:
+    """(8, 224, 224): grasps on any of the pixels `on` (224, 224) that surely hold what they close
+    on."""
+    ground = under_open_gripper(heightmap)
+    grasps = graspable(heightmap, ground)[:HALF_TURN] & on
+    sure: Mask = wedges(heightmap, grasps, ground.highest) <= SURE_WEDGE
+    return sure
+
+
 def _pushes(values: Map, heightmap: Heightmap, avoid: Sequence[Push], promising: bool) -> Map:
     """The values of the first kind of pushes of which any are left, or of all that are allowed."""
     left = np.full_like(values, -np.inf)

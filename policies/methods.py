@@ -35,7 +35,8 @@ class Method:
     many of the others. promising: of pushes only the most promising kind is considered. wedged: of
     grasps those too that may squeeze out what they close on.
     push_from: the value from which on a push is made for a goal before anything is lifted that is
-    in its way."""
+    in its way. foreseen: so many pushes for a goal are tried in simulation before one is made, by
+    whoever runs the policy in a cell."""
 
     name: str
     choose: Rule | None
@@ -47,6 +48,7 @@ class Method:
     promising: bool = True
     wedged: bool = False
     push_from: float = np.inf
+    foreseen: int = 0
 
     def judge_of(self, heightmap: Heightmap) -> Judge | None:
         if heightmap.goal is None or self.judge_for_goal is None:
@@ -115,3 +117,4 @@ METHODS["tdpg-free"] = replace(
     wedged=True,
     push_from=FREES,
 )
+METHODS["tdpg-foreseen"] = replace(METHODS["tdpg-free"], name="tdpg-foreseen", foreseen=64)

@@ -44,7 +44,8 @@ class Decision:
     """The chosen action, and why.
 
     rotation, row, col: its place in the Q-maps. q: its value.
-    verdict: None for methods without Critic II. seconds: wall time by part.
+    verdict: None for methods without Critic II. seconds: wall time by part. foreseen: sure grasps
+    of the goal after this push, as simulation has it; None where it was not asked.
     """
 
     primitive: Primitive
@@ -55,6 +56,7 @@ class Decision:
     maps: QMaps
     verdict: CriticVerdict | None
     seconds: dict[str, float]
+    foreseen: int | None = None
 
 
 class Decider(Protocol):

@@ -12,7 +12,7 @@ from policies.policy import Decider
 
 # In weights/, each with its card beside it.
 CLEAR = "clear-tried.safetensors"
-FETCH = "fetch-tried.safetensors"
+FETCH = "fetch-foreseen.safetensors"
 
 
 @dataclass(frozen=True, kw_only=True)

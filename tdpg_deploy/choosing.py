@@ -18,6 +18,7 @@ from policies.standing import Mask, within
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.change import changed
 from tdpg_deploy.errors import PlanRefused
+from tdpg_deploy.foresight.policy import with_foresight
 from tdpg_deploy.motion import DESCENT, plan_primitive
 from tdpg_deploy.outcome import Outcome, Verdict
 from tdpg_deploy.plan import Plan
@@ -43,7 +44,7 @@ class Chooser:
     """The same looks, outcomes, policy, cell and generator state give the same choices."""
 
     def __init__(self, policy: Decider, config: CellConfig, rng: np.random.Generator) -> None:
-        self._policy = policy
+        self._policy = with_foresight(policy, config)
         self._config = config
         self._rng = rng
         self._futile: list[_Futile] = []

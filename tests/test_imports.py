@@ -66,6 +66,11 @@ MAY_IMPORT: dict[str, list[str] | None] = {
         *FOUNDATION, "tdpg_deploy.emulators", "tdpg_deploy.sim", "tdpg_deploy.drivers",
         "tdpg_deploy.kinematics",
     ],
+    "tdpg_deploy.foresight": [
+        *FOUNDATION, *VALUES, *STEP, "policies", "tdpg_deploy.foresight", "tdpg_deploy.cell",
+        "tdpg_deploy.sim", "tdpg_deploy.perception", "tdpg_deploy.motion", "tdpg_deploy.safety",
+        "tdpg_deploy.execution", "tdpg_deploy.workspace",
+    ],
     "tdpg_deploy": None,
     "tools": None,
     "tests": None,

@@ -134,6 +134,8 @@ def _reasoning(intent: Intent) -> str:
     if verdict is not None:
         said = "overruled" if verdict.overruled else "agreed"
         parts.append(f"critic II {said}")
+    if intent.decision.foreseen is not None:
+        parts.append(f"{intent.decision.foreseen} sure grasps of the goal foreseen")
     return ", ".join(parts)
 
 

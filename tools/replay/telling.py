@@ -88,6 +88,8 @@ def decision(made: LoggedDecision) -> str:
     if made.verdict is not None:
         said = "overruled" if made.verdict.overruled else "agreed"
         text += f", Critic II {said}, best P(success) {max(made.verdict.p_success):.2f}"
+    if made.foreseen is not None:
+        text += f", {made.foreseen} sure grasps of the goal foreseen"
     return f"{text}, {1000 * sum(made.seconds.values()):.0f} ms"
 
 

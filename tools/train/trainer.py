@@ -13,6 +13,7 @@ from pathlib import Path
 import torch
 
 from tdpg_deploy.cell_config import DEFAULT_CELL, CellConfig, load_cell
+from tdpg_deploy.sim.hurry import in_a_hurry
 from tools.pool import process_pool
 from tools.train.claim import claim
 from tools.train.config import TrainConfig
@@ -54,19 +55,4 @@ def train(config: TrainConfig, directory: Path, *, on_progress: Callable[[Progre
 
 def training_cell() -> CellConfig:
     """The mock cell with a gantry in place of the arm, in a hurry, and the smaller picture."""
-    cell = load_cell(DEFAULT_CELL)
-    hurry = {
-        "travel_speed": 1.0,
-        "contact_speed": 0.25,
-        "touch_speed": 0.25,
-        "acceleration": 5.0,
-        "joint_speed": 3.1,
-        "joint_acceleration": 10.0,
-    }
-    return cell.model_copy(
-        update={
-            "camera": cell.camera.model_copy(update={"width": 640}),
-            "simulation": cell.simulation.model_copy(update={"carrier": "gantry"}),
-            "limits": cell.limits.model_copy(update=hurry),
-        }
-    )
+    return in_a_hurry(load_cell(DEFAULT_CELL))

@@ -8,11 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from policies.closure import SURE_WEDGE, wedges
-from policies.fingers import under_open_gripper
 from policies.heightmap import PIXEL, SIZE, Heightmap, Workspace
-from policies.masks import graspable
-from policies.policy import HALF_TURN
+from policies.masks import sure_grasps
 from tdpg_deploy.cell import Cell
 from tdpg_deploy.geometry import Transform
 from tdpg_deploy.hal import Intrinsics
@@ -32,9 +29,7 @@ FAR = 20.0  # m above the table: from there all is seen straight from above
 
 def free(heightmap: Heightmap, owners: Owners, objects: int) -> Flags:
     """Whether there are sure grasps on each object."""
-    ground = under_open_gripper(heightmap)
-    grasps = graspable(heightmap, ground)[:HALF_TURN] & (owners >= 0)
-    sure = wedges(heightmap, grasps, ground.highest) <= SURE_WEDGE
+    sure = sure_grasps(heightmap, owners >= 0)
     counts = np.bincount(np.broadcast_to(owners, sure.shape)[sure], minlength=objects)
     enough: Flags = counts >= GRASPS
     return enough

@@ -1,0 +1,65 @@
+"""Things that a heightmap shows, as solids that a simulated world can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+from scipy.spatial.transform import Rotation
+
+from policies.heightmap import Heightmap
+from policies.standing import Mask
+from tdpg_deploy.foresight.things import things
+from tdpg_deploy.geometry import Array, Transform
+from tdpg_deploy.sim.bodies import Shape, extrude
+from tdpg_deploy.sim.scenes import Scene, SceneObject
+
+INSET = 0.0007  # m by which outlines are drawn in: a map shows the highest point in each pixel
+FOOT = 0.5  # share of a thing's height below which its pixels are the blur of its border
+THINNEST = 0.012  # m
+_WOOD = (170, 140, 110)  # nobody looks at the colour
+_NOISE = np.ones((3, 3), np.uint8)
+
+
+def scene_shown(heightmap: Heightmap) -> Scene:
+    """One upright prism on the table for each thing: the convex hull of its outline, as high as
+    most of it. What is hidden, hollow, round or leans is none the less a prism."""
+    return Scene(objects=tuple(_solids(heightmap)))
+
+
+def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
+    found, workspace = things(heightmap), heightmap.workspace
+    for thing in range(1, found.max() + 1):
+        shown = found == thing
+        height = float(np.median(heightmap.height[shown]))
+        outline = _outline(shown & (heightmap.height > FOOT * height), heightmap)
+        if outline is None:
+            continue
+        bottom, height = workspace.table_z, max(height, THINNEST)
+        prism = extrude(outline, bottom, bottom + height)
+        shape = Shape.from_hulls(f"thing {thing}", [prism])
+        center = prism[0] - shape.vertices[0]
+        if workspace.contains(center[0], center[1]):
+            yield SceneObject(
+                shape=shape,
+                X_base_object=Transform(Rotation.identity(), center),
+                rgb=_WOOD,
+                goal=heightmap.goal is not None and bool(heightmap.goal[shown].all()),
+            )
+
+
+def _outline(shown: Mask, heightmap: Heightmap) -> Array | None:
+    """(n, 2) x, y in base of the corners of a convex outline; None of what is too small for one."""
+    rows, cols = np.nonzero(cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, _NOISE))
+    points = np.column_stack(heightmap.workspace.to_base(rows, cols))
+    try:
+        sides = ConvexHull(points).equations
+        corners = HalfspaceIntersection(
+            sides + np.array([0, 0, INSET]), points.mean(axis=0)
+        ).intersections
+        outline: Array = corners[ConvexHull(corners).vertices]
+    except (QhullError, ValueError):  # hardly a pixel wide
+        return None
+    return outline
