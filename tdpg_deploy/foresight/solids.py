@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -16,7 +16,8 @@ from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.sim.bodies import Shape, extrude
 from tdpg_deploy.sim.scenes import Scene, SceneObject
 
-INSET = 0.0007  # m by which outlines are drawn in: a map shows the highest point in each pixel
+INSET = 0.0005  # m by which outlines are drawn in: a map shows the highest point in each pixel
+RECTANGULAR = 0.85  # share of a rectangle that its pixels fill at least: corners are lost in noise
 FOOT = 0.5  # share of a thing's height below which its pixels are the blur of its border
 THINNEST = 0.012  # m
 _WOOD = (170, 140, 110)  # nobody looks at the colour
@@ -53,13 +54,25 @@ def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
 def _outline(shown: Mask, heightmap: Heightmap) -> Array | None:
     """(n, 2) x, y in base of the corners of a convex outline; None of what is too small for one."""
     rows, cols = np.nonzero(cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, _NOISE))
-    points = np.column_stack(heightmap.workspace.to_base(rows, cols))
+    if not len(rows):
+        return None
+    middle, sides, turn = cv2.minAreaRect(np.column_stack([cols, rows]).astype(np.float32))
+    if len(rows) >= RECTANGULAR * (sides[0] + 1) * (sides[1] + 1):
+        box = cv2.boxPoints((middle, _with_area(sides, len(rows)), turn))
+        points = np.column_stack(heightmap.workspace.to_base(box[:, 1], box[:, 0]))
+    else:
+        points = np.column_stack(heightmap.workspace.to_base(rows, cols))
     try:
-        sides = ConvexHull(points).equations
-        corners = HalfspaceIntersection(
-            sides + np.array([0, 0, INSET]), points.mean(axis=0)
-        ).intersections
+        planes = ConvexHull(points).equations + np.array([0, 0, INSET])
+        corners = HalfspaceIntersection(planes, points.mean(axis=0)).intersections
         outline: Array = corners[ConvexHull(corners).vertices]
     except (QhullError, ValueError):  # hardly a pixel wide
         return None
     return outline
+
+
+def _with_area(sides: Sequence[float], area: float) -> tuple[float, float]:
+    """Both sides drawn in by as much, so that the rectangle has that area."""
+    a, b = sides
+    less = (a + b - np.sqrt(max((a + b) ** 2 - 4 * (a * b - area), 0.0))) / 2
+    return a - less, b - less
