@@ -20,7 +20,6 @@ INSET = 0.0005  # m by which outlines are drawn in: a map shows the highest poin
 RECTANGULAR = 0.85  # share of a rectangle that its pixels fill at least: corners are lost in noise
 FOOT = 0.5  # share of a thing's height below which its pixels are the blur of its border
 THINNEST = 0.012  # m
-_WOOD = (170, 140, 110)  # nobody looks at the colour
 _NOISE = np.ones((3, 3), np.uint8)
 
 
@@ -35,6 +34,7 @@ def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
     for thing in range(1, found.max() + 1):
         shown = found == thing
         height = float(np.median(heightmap.height[shown]))
+        red, green, blue = np.median(heightmap.color[shown], axis=0)
         outline = _outline(shown & (heightmap.height > FOOT * height), heightmap)
         if outline is None:
             continue
@@ -46,7 +46,7 @@ def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
             yield SceneObject(
                 shape=shape,
                 X_base_object=Transform(Rotation.identity(), center),
-                rgb=_WOOD,
+                rgb=(int(red), int(green), int(blue)),
                 goal=heightmap.goal is not None and bool(heightmap.goal[shown].all()),
             )
 
