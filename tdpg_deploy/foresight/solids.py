@@ -31,7 +31,7 @@ def scene_shown(heightmap: Heightmap) -> Scene:
 
 def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
     found, workspace = things(heightmap), heightmap.workspace
-    for thing in range(1, found.max() + 1):
+    for thing in np.unique(found[found > 0]).tolist():
         shown = found == thing
         height = float(np.median(heightmap.height[shown]))
         red, green, blue = np.median(heightmap.color[shown], axis=0)

@@ -16,7 +16,7 @@ from policies.heightmap import PIXEL, Workspace
 from policies.primitives import Primitive, Push
 from tdpg_deploy import kinematics
 from tdpg_deploy.cell_config import CellConfig
-from tdpg_deploy.episode_log.entries import Candidate, Step, ToolPoint
+from tdpg_deploy.episode_log.entries import Candidate, LoggedDecision, Step, ToolPoint
 from tdpg_deploy.outcome import GraspOutcome, Outcome
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
 from tdpg_deploy.workspace import workspace_of
@@ -57,7 +57,7 @@ def step_data(step: Step, findings: tuple[Finding, ...], cell: CellConfig) -> di
             "overruled": verdict.overruled,
         },
         "decided_in": {name: number(seconds) for name, seconds in decision.seconds.items()},
-        "notes": list(plan.notes),
+        "notes": [*plan.notes, *_foreseen(decision)],
         "plan": _plan(plan, cell, workspace),
         "limits": _limits(plan),
         "path": _path(step.tool_path, step.intent.stamp, workspace),
@@ -68,6 +68,11 @@ def step_data(step: Step, findings: tuple[Finding, ...], cell: CellConfig) -> di
         "outcome": _outcome(step.outcome),
     }
     return data
+
+
+def _foreseen(decision: LoggedDecision) -> list[str]:
+    grasps = decision.foreseen
+    return [] if grasps is None else [f"{grasps} sure grasps of the goal foreseen"]
 
 
 def findings_data(findings: tuple[Finding, ...]) -> list[dict[str, str]]:

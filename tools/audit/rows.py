@@ -103,6 +103,7 @@ class ActionRecord:
     travelled: float
     p_success: float
     overruled: bool | None
+    foreseen: int | None
     decide_seconds: float
     refusals: tuple[str, ...]
 
@@ -271,6 +272,7 @@ def _action(name: str, number: int, step: Step, findings: tuple[Finding, ...]) -
         travelled=NAN if push is None else push.travelled,
         p_success=NAN if verdict is None else max(verdict.p_success, default=NAN),
         overruled=None if verdict is None else verdict.overruled,
+        foreseen=None if decision is None else decision.foreseen,
         decide_seconds=NAN if decision is None else sum(decision.seconds.values()),
         refusals=tuple(refusal_cause(refusal.reason).value for refusal in step.refusals),
         **_found(findings),
