@@ -77,7 +77,10 @@ def _under(heightmap: Heightmap, parts: Sequence[Part]) -> Ground:
     wide = heightmap.wide
     filled: Map = np.where(np.isfinite(wide), wide, np.float32(0))
     smooth = cv2.medianBlur(filled, 3).astype(np.float32, copy=False)  # no lone specks
-    known = _unknown(heightmap.valid, parts[0]) <= MAX_UNKNOWN
+    unknown = _unknown(heightmap.valid, parts[0])
+    known = np.empty((HALF_TURN, SIZE, SIZE), np.bool_)
+    for rotation, place in enumerate(_places(parts[0].apart)):
+        known[rotation] = cv2.dilate(unknown[rotation], place)[INSIDE, INSIDE] <= MAX_UNKNOWN
     highest = np.zeros(known.shape, np.float32)
     for part in parts:
         np.maximum(highest, _highest(smooth, part)[:, INSIDE, INSIDE] - part.rise, out=highest)
@@ -97,48 +100,21 @@ def _highest(height: Map, part: Part) -> Map:
 
 
 def _unknown(seen: npt.NDArray[np.bool_], part: Part) -> Map:
-    """(8, 224, 224) share of a part that comes down at each pixel that was not seen, the greater
-    share where it comes down at two places: counted as the plan will count it."""
+    """(8, n, n) share of a part's rectangle around each pixel, those beyond the map too, that was
+    not seen. Counted on pixels of twice the size: a sixteenth of the work, and near enough."""
     unseen = torch.from_numpy(np.pad((~seen).astype(np.float32), RIM))
-    weights, corners = _weights(part)
-    shares = F.conv2d(unseen[None, None], torch.from_numpy(weights[:, None]))[0].numpy()
-    unknown = np.zeros((HALF_TURN, SIZE, SIZE), np.float32)
-    for index, (share, (down, right)) in enumerate(zip(shares, corners.tolist(), strict=True)):
-        row, col = RIM + down, RIM + right
-        most = unknown[index % HALF_TURN]
-        np.maximum(most, share[row : row + SIZE, col : col + SIZE], out=most)
+    footprints = _footprints(part.along, part.across, pixel=2 * PIXEL)
+    weights = torch.from_numpy(footprints[:, None].astype(np.float32))
+    weights /= weights.sum((2, 3), keepdim=True)
+    share = F.conv2d(F.avg_pool2d(unseen[None, None], 2), weights, padding="same")
+    unknown: Map = F.interpolate(share, scale_factor=2.0)[0].numpy()
     return unknown
 
 
 @cache
-def _weights(part: Part) -> tuple[Map, npt.NDArray[np.intp]]:
-    """For each place of a part, of eight yaws each: (8 or 16, n, n) the share of it that lies in
-    each of some pixels, and where they begin, (8 or 16, 2) pixels down and to the right of the
-    action's. A place is the points of a grid of 1 mm, as it is for plans
-    (tdpg_deploy/footprint.py)."""
-    u, v = (points.ravel() for points in np.meshgrid(_grid(part.along), _grid(part.across)))
-    apart = (part.apart / 2, -part.apart / 2) if part.apart else (0.0,)
-    yaw = np.tile(np.arange(HALF_TURN) * 2 * np.pi / ROTATIONS, len(apart))[:, None]
-    u = u + np.repeat(apart, HALF_TURN)[:, None]
-    x, y = np.cos(yaw) * u - np.sin(yaw) * v, np.sin(yaw) * u + np.cos(yaw) * v
-    pixels = np.floor(0.5 - np.stack((x, y), axis=-1) / PIXEL).astype(np.intp)
-    corners = pixels.min(axis=1)
-    within = pixels - corners[:, None]
-    side = int(within.max()) + 1
-    weights = np.zeros((len(pixels), side, side), np.float32)
-    for weight, at in zip(weights, within, strict=True):
-        np.add.at(weight, tuple(at.T), 1 / len(at))
-    return weights, corners
-
-
-def _grid(side: float) -> Array:
-    return np.linspace(-side / 2, side / 2, int(np.ceil(side / 0.001)) + 1, dtype=np.float64)
-
-
-@cache
-def _footprints(along: float, across: float) -> npt.NDArray[np.uint8]:
+def _footprints(along: float, across: float, pixel: float = PIXEL) -> npt.NDArray[np.uint8]:
     """(8, n, n) the pixels of a rectangle with these sides along and across each yaw."""
-    x, y, c, s = _around(int(np.hypot(along, across) / 2 / PIXEL))
+    x, y, c, s = _around(int(np.hypot(along, across) / 2 / pixel), pixel)
     u, v = c * x + s * y, c * y - s * x
     inside: npt.NDArray[np.bool_] = np.maximum(abs(u) - along / 2, abs(v) - across / 2) <= 1e-9
     return inside.astype(np.uint8)
@@ -147,16 +123,16 @@ def _footprints(along: float, across: float) -> npt.NDArray[np.uint8]:
 @cache
 def _places(apart: float) -> npt.NDArray[np.uint8]:
     """(8, n, n) the two pixels that lie `apart` metres from each other, along each yaw."""
-    x, y, c, s = _around(int(apart / 2 / PIXEL) + 1)
+    x, y, c, s = _around(int(apart / 2 / PIXEL) + 1, PIXEL)
     squared = (abs(c * x + s * y) - apart / 2) ** 2 + (c * y - s * x) ** 2
     # The two are as near as each other, or one and the same: rounding must not tell them apart.
     nearest: npt.NDArray[np.bool_] = squared <= squared.min(axis=(1, 2), keepdims=True) + 1e-12
     return nearest.astype(np.uint8)
 
 
-def _around(reach: int) -> tuple[Array, Array, Array, Array]:
+def _around(reach: int, pixel: float) -> tuple[Array, Array, Array, Array]:
     """x, y of pixels (n, n) around one, in base (m); cosine and sine of each yaw (8, 1, 1)."""
-    pixels = np.arange(-reach, reach + 1) * PIXEL
+    pixels = np.arange(-reach, reach + 1) * pixel
     x, y = np.meshgrid(-pixels, -pixels, indexing="ij")
     yaw = np.arange(HALF_TURN)[:, None, None] * 2 * np.pi / ROTATIONS
     return x, y, np.cos(yaw), np.sin(yaw)
