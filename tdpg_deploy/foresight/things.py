@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from policies.heightmap import PIXEL, Heightmap
 from policies.standing import Map, Mask, rising
 
-Things = npt.NDArray[np.int32]  # (224, 224): the number of the thing that each pixel shows, 0 where none
+Things = npt.NDArray[np.int32]  # (224, 224): which thing each pixel shows; 0 where none
 
 COLOR_EDGE = 20.0  # of CIELAB's 8-bit scale, within three pixels ...
 LIGHTNESS = 0.6  # ... where lightness counts less: a thing's sides lie in the shade

@@ -18,15 +18,20 @@ from policies.baselines import RandomPolicy
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
 from policies.heightmap import Heightmap
 from policies.policy import Decider, Decision
-from policies.primitives import Primitive
+from policies.primitives import Primitive, Push
 from policies.shipped import NamedPolicy, open_policy
 from tdpg_deploy.calibration_file import Calibration, DepthSection
+from tdpg_deploy.cell_config import DEFAULT_CELL, load_cell
 from tdpg_deploy.episode_log.about import About
 from tdpg_deploy.episode_log.entries import LoggedDecision, Step
-from tdpg_deploy.episode_log.reader import Episode
+from tdpg_deploy.episode_log.reader import Episode, read_episode
 from tdpg_deploy.hal import RgbdFrame
+from tdpg_deploy.outcome import EndReason
 from tdpg_deploy.perception import build_heightmap
+from tdpg_deploy.session import log_episode
+from tdpg_deploy.sim.hurry import in_a_hurry
 from tdpg_deploy.workspace import workspace_of
+from tools.evaluate.tables import challenge_cases
 from tools.replay.assumptions import with_camera_moved
 from tools.replay.divergence import (
     Cause,
@@ -96,6 +101,24 @@ def diverging(
 
 def test_a_network_decides_the_same_bit_for_bit(learned: Episode, weights: Path) -> None:
     assert diverging(learned, load_checkpoint(weights).policy()) == []
+
+
+@pytest.mark.slow
+def test_a_push_that_was_foreseen_is_foreseen_again(tmp_path: Path) -> None:
+    """By the shipped policy, which finds a goal between two others and pushes it free."""
+    cell, path = in_a_hurry(load_cell(DEFAULT_CELL)), tmp_path / "foreseen.mcap"
+    table = next(table for table in challenge_cases() if table.name == "case-2-sandwich")
+    scene, policy = table.scene(cell, 4_001, goal=True), open_policy(goal=True)
+    result = log_episode(cell, policy, path, seed=4_001, scene=scene, goal=True)
+    assert result.reason is EndReason.GOAL_REACHED
+    episode = read_episode(path)
+    first, *_ = redecide(episode, policy.decider)
+    assert isinstance(first.again[-1].decision.primitive, Push)
+    assert first.again[-1].decision.foreseen
+    assert [one.decision.foreseen for one in first.again] == [
+        one.decision.foreseen for one in first.logged
+    ]
+    assert diverging(episode, policy.decider) == []
 
 
 def test_chance_draws_the_same_through_refusals_and_futile_actions(tmp_path: Path) -> None:
