@@ -4,12 +4,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
-from seen import TABLE_Z, block, row_of_bars, seen
+from seen import CONFIG, TABLE_Z, block, row_of_bars, seen
 
+from policies.heightmap import SIZE, Heightmap
+from tdpg_deploy.cell import open_cell
 from tdpg_deploy.foresight.solids import scene_shown
 from tdpg_deploy.geometry import Array
 from tdpg_deploy.sim.scenes import Scene, SceneObject
+from tdpg_deploy.workspace import workspace_of
 
 
 def standing(item: SceneObject) -> Array:
@@ -63,3 +68,25 @@ def test_the_goal_is_told_apart() -> None:
 
 def test_an_empty_table_is_an_empty_scene() -> None:
     assert scene_shown(seen(Scene(objects=())).heightmap).objects == ()
+
+
+@pytest.mark.slow
+@settings(max_examples=25)
+@given(st.integers(0, 10_000))
+def test_whatever_is_seen_a_world_can_hold_it(seed: int) -> None:
+    """Blocks, slivers and specks that lie across each other, holes, and noise."""
+    rng = np.random.default_rng(seed)
+    height, color = np.zeros((SIZE, SIZE), np.float32), np.zeros((SIZE, SIZE, 3), np.uint8)
+    for _ in range(rng.integers(1, 25)):
+        row, col = rng.integers(0, SIZE, 2)
+        rows, cols = rng.integers(1, 40, 2)
+        height[row : row + rows, col : col + cols] = rng.uniform(0.005, 0.15)
+        color[row : row + rows, col : col + cols] = rng.integers(0, 256, 3)
+    height += rng.normal(0, rng.choice([0, 0.002, 0.01]), height.shape).astype(np.float32)
+    height[rng.random(height.shape) < rng.choice([0, 0.05, 0.5])] = np.nan
+    goal = np.roll(np.arange(SIZE) < 40, rng.integers(SIZE))[:, None] & (np.arange(SIZE) < 120)
+    workspace = workspace_of(CONFIG)
+    scene = scene_shown(Heightmap(workspace=workspace, color=color, height=height, goal=goal))
+    with open_cell(CONFIG, scene=scene) as cell:
+        assert cell.truth is not None
+        assert sum(cell.truth().values()) == len(scene.objects)
