@@ -22,6 +22,8 @@ from tdpg_deploy.sim.hurry import in_a_hurry
 from tdpg_deploy.sim.scenes import Scene
 from tdpg_deploy.workspace import workspace_of
 
+NEAR = 0.20  # m between the middles of the goal and of a thing that may come into play
+
 
 def grasps_after(heightmap: Heightmap, pushes: Sequence[Push], config: CellConfig) -> Iterator[int]:
     """For one push after the other, how many pixels and rotations would be sure grasps of the goal
@@ -30,8 +32,8 @@ def grasps_after(heightmap: Heightmap, pushes: Sequence[Push], config: CellConfi
     Only what `heightmap` shows and the cell file says of the cell is used: what is true of a mock
     cell alone (camera pose, friction, density) is not. The same input gives the same numbers.
     """
-    scene = scene_shown(heightmap)
-    if not any(item.goal for item in scene.objects):
+    scene = _near_goal(scene_shown(heightmap))
+    if not scene.objects:
         return
     imagined = _imagined(config)
     for push in pushes:
@@ -41,6 +43,19 @@ def grasps_after(heightmap: Heightmap, pushes: Sequence[Push], config: CellConfi
         except (PlanRefused, SceneError, DeviceError):
             grasps = 0
         yield grasps
+
+
+def _near_goal(scene: Scene) -> Scene:
+    """Without what is so far from the goal that no push for it gets there: in a heap of thirty, half
+    of the work."""
+    goals = [item.X_base_object.translation for item in scene.objects if item.goal]
+    return Scene(
+        objects=tuple(
+            item
+            for item in scene.objects
+            if any(np.hypot(*(item.X_base_object.translation - goal)[:2]) < NEAR for goal in goals)
+        )
+    )
 
 
 def _imagined(config: CellConfig) -> CellConfig:
