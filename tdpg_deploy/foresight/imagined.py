@@ -46,8 +46,8 @@ def grasps_after(heightmap: Heightmap, pushes: Sequence[Push], config: CellConfi
 
 
 def _near_goal(scene: Scene) -> Scene:
-    """Without what is so far from the goal that no push for it gets there: in a heap of thirty, half
-    of the work."""
+    """Without what is so far from the goal that no push for it gets there: half of the work in a
+    heap of thirty."""
     goals = [item.X_base_object.translation for item in scene.objects if item.goal]
     return Scene(
         objects=tuple(
