@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice, product
 from typing import Literal
 
 import numpy as np
@@ -71,18 +71,20 @@ def best_grasps(
     return tuple(
         grasp
         for place, hold in product(places, holds)
-        for grasp in _best_apart(np.where(place & hold, values, np.float32(-np.inf)), rng, count)
+        for grasp in islice(
+            best_apart(np.where(place & hold, values, np.float32(-np.inf)), "grasp", rng), count
+        )
     )
 
 
-def _best_apart(values: Map, rng: np.random.Generator, count: int) -> Iterator[Choice]:
+def best_apart(
+    values: Map, kind: Literal["grasp", "push"], rng: np.random.Generator
+) -> Iterator[Choice]:
+    """One after the other, the best first, no two of them NEAR each other."""
     left = values.copy()
-    for _ in range(count):
-        grasp = best(left, "grasp", rng)
-        if grasp is None:
-            return
-        yield grasp
-        strike_out(left, grasp.rotation, grasp.row, grasp.col)
+    while (choice := best(left, kind, rng)) is not None:
+        yield choice
+        strike_out(left, choice.rotation, choice.row, choice.col)
 
 
 def choose_by_critic_one(grasps: Sequence[Choice], push: Choice | None) -> Choice | None:
@@ -165,6 +167,7 @@ def decided(
     *,
     verdict: CriticVerdict | None = None,
     seconds: dict[str, float],
+    foreseen: int | None = None,
 ) -> Decision:
     """To do what was chosen from these maps."""
     return Decision(
@@ -176,6 +179,7 @@ def decided(
         maps=maps,
         verdict=verdict,
         seconds=seconds,
+        foreseen=foreseen,
     )
 
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from policies.decide import Choice, best, decided, to_primitive
+from policies.decide import Choice, best_apart, decided, to_primitive
 from policies.heightmap import Heightmap
 from policies.learned import LearnedPolicy
 from policies.masks import strike_out
@@ -57,21 +57,19 @@ class ForeseeingPolicy:
             return decision
         start = time.perf_counter()
         chosen, grasps = self._best_foreseen(decision.maps.push, heightmap, rng)
-        return replace(
-            decided(
-                chosen,
-                heightmap,
-                decision.maps,
-                verdict=decision.verdict,
-                seconds={**decision.seconds, "foresight": time.perf_counter() - start},
-            ),
+        return decided(
+            chosen,
+            heightmap,
+            decision.maps,
+            verdict=decision.verdict,
+            seconds={**decision.seconds, "foresight": time.perf_counter() - start},
             foreseen=grasps,
         )
 
     def _best_foreseen(
         self, values: Map, heightmap: Heightmap, rng: np.random.Generator
     ) -> tuple[Choice, int]:
-        choices = list(islice(_to_try(values, rng), self._pushes))
+        choices = _to_try(values, rng, self._pushes)
         pushes = [to_primitive(choice, heightmap) for choice in choices]
         after = self._foresee(heightmap, [push for push in pushes if isinstance(push, Push)])
         chosen, most = choices[0], 0
@@ -83,14 +81,13 @@ class ForeseeingPolicy:
         return chosen, most
 
 
-def _to_try(values: Map, rng: np.random.Generator) -> Iterator[Choice]:
+def _to_try(values: Map, rng: np.random.Generator, count: int) -> list[Choice]:
     """The pushes that are valued most, then any that are allowed; no two near each other."""
-    left = values.copy()
-    for number in range(left.size):
-        equal = np.where(np.isneginf(left), left, np.float32(0))
-        choice = best(left if number < BY_VALUE else equal, "push", rng)
-        if choice is None:
-            return
-        place = choice.rotation, choice.row, choice.col
-        yield replace(choice, q=float(values[place]))
-        strike_out(left, *place)
+    most_valued = list(islice(best_apart(values, "push", rng), min(count, BY_VALUE)))
+    equal = np.where(np.isneginf(values), values, np.float32(0))
+    for choice in most_valued:
+        strike_out(equal, choice.rotation, choice.row, choice.col)
+    others = islice(best_apart(equal, "push", rng), count - len(most_valued))
+    return most_valued + [
+        replace(other, q=float(values[other.rotation, other.row, other.col])) for other in others
+    ]

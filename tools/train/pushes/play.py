@@ -16,10 +16,9 @@ import numpy.typing as npt
 import torch
 
 from policies.border import border_occupancy
-from policies.decide import Choice, best, to_primitive
+from policies.decide import Choice, best_apart, to_primitive
 from policies.heightmap import SIZE, Heightmap
 from policies.learned import fastest_dtype
-from policies.masks import strike_out
 from policies.networks.twin import PushNet
 from policies.policy import ROTATIONS
 from policies.pushable import all_pushes, pushable
@@ -246,19 +245,17 @@ class Chooser:
         network.load_state_dict(torch.load(weights, weights_only=True))
         self._network = network.eval().requires_grad_(False).to(fastest_dtype())
         self._seen: _Look | None = None
-        self._left: Map | None = None
+        self._pushes: Iterator[Choice] = iter(())
 
     def __call__(self, seen: _Look, rng: np.random.Generator) -> Place | None:
         if self._seen is not seen:
             self._seen, aimed = seen, seen.aimed(rng)
-            self._left = None if aimed is None else self._values(aimed)
-        if self._left is None:
-            return None
-        push = best(self._left, "push", rng)
-        if push is None:
-            return None
-        strike_out(self._left, push.rotation, push.row, push.col)
-        return push.rotation, push.row, push.col
+            if aimed is None:
+                self._pushes = iter(())
+            else:
+                self._pushes = best_apart(self._values(aimed), "push", rng)
+        push = next(self._pushes, None)
+        return None if push is None else (push.rotation, push.row, push.col)
 
     def _values(self, aimed: Heightmap) -> Map:
         """(16, 224, 224), -inf where no push is allowed."""
