@@ -18,6 +18,7 @@ from tdpg_deploy.sim.world import World
 RIGID = 80.0  # N; more is an obstacle, less is something that is pushed
 STIFFNESS = 20_000.0  # N/m of the arm and its tips, against obstacles
 GONE_AFTER = 12  # steps without contact until an obstacle is believed to be gone
+SPEED_OVER = 4  # steps: at rest Bullet's motors tremble from one to the next, for ever
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,7 @@ class WorldPlant:
         self.dh = world.config.arm.dh
         self._tip = np.append(world.config.arm.X_flange_tool.transform().translation, 1.0)
         self._q_target = self.q
-        self._lately = deque([self.q] * 3, maxlen=3)  # joints at the last three steps
+        self._lately = deque([self.q] * (SPEED_OVER + 1), maxlen=SPEED_OVER + 1)  # joints
         self._ahead = 0.0  # s of the controller that the world has not been stepped for yet
         self._obstacle: _Obstacle | None = None
         self._untouched = 0  # steps in a row without a contact
@@ -51,8 +52,7 @@ class WorldPlant:
 
     @property
     def qd(self) -> Array:
-        # Over two steps: at rest, Bullet's motors tremble from one to the next, for ever.
-        return (self._lately[2] - self._lately[0]) / (2 * TIME_STEP)
+        return (self._lately[-1] - self._lately[0]) / (SPEED_OVER * TIME_STEP)
 
     @property
     def force(self) -> Array:
