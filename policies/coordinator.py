@@ -12,8 +12,8 @@ import torch
 from torch import nn
 
 from policies.border import border_norm, border_occupancy
-from policies.decide import Choice
 from policies.heightmap import Heightmap
+from policies.policy import Choice
 from policies.primitives import Grasp, Primitive
 
 SITUATION = 5

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from policies.decide import Choice
 from policies.networks.maps import Maps, Network
-from policies.policy import HALF_TURN, ROTATIONS, QMaps
+from policies.policy import HALF_TURN, ROTATIONS, Choice, QMaps
 from policies.rotation import back_to_map, pictures, positions
 
 

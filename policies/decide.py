@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice, product
 from typing import Literal
 
@@ -12,7 +11,7 @@ import numpy.typing as npt
 
 from policies.heightmap import Heightmap
 from policies.masks import strike_out
-from policies.policy import HALF_TURN, ROTATIONS, CriticVerdict, Decision, QMaps
+from policies.policy import HALF_TURN, ROTATIONS, Choice, CriticVerdict, Decision, QMaps
 from policies.primitives import Grasp, Primitive, Push
 from policies.standing import Map, Mask
 
@@ -20,17 +19,6 @@ C = 0.6  # Critic II's threshold (paper, section III-D)
 CONSIDERED = 10  # grasps that are fed into Critic II (paper, section III-B)
 
 _MARGIN = {"grasp": 3, "push": 5}  # pixels around the action that its height is read from
-
-
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """One entry of the Q-maps."""
-
-    kind: Literal["grasp", "push"]
-    rotation: int
-    row: int
-    col: int
-    q: float
 
 
 # --- which one is chosen ----------------------------------------------------------------------
@@ -166,8 +154,9 @@ def decided(
     maps: QMaps,
     *,
     verdict: CriticVerdict | None = None,
+    considered: Sequence[Choice] = (),
     seconds: dict[str, float],
-    foreseen: int | None = None,
+    p_foreseen: float | None = None,
 ) -> Decision:
     """To do what was chosen from these maps."""
     return Decision(
@@ -178,8 +167,9 @@ def decided(
         q=choice.q,
         maps=maps,
         verdict=verdict,
+        considered=tuple(considered),
         seconds=seconds,
-        foreseen=foreseen,
+        p_foreseen=p_foreseen,
     )
 
 

@@ -12,7 +12,7 @@ import torch
 
 from policies.coordinator import coordinated
 from policies.critics import critic_one, critic_two
-from policies.decide import Choice, best_grasps, best_push, decided
+from policies.decide import best_grasps, best_push, decided
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
 from policies.masks import allowed
@@ -20,7 +20,7 @@ from policies.methods import Method
 from policies.networks.build import for_inference
 from policies.networks.coordinated import CoordinatedNet
 from policies.networks.maps import Network
-from policies.policy import CriticVerdict, Decision, QMaps
+from policies.policy import Choice, CriticVerdict, Decision, QMaps
 from policies.primitives import Primitive
 from policies.state import encode
 
@@ -88,7 +88,7 @@ class LearnedPolicy:
                 p_success=tuple(p_success.tolist()), overruled=agreed.kind != chosen.kind
             )
             chosen = agreed
-        return decided(chosen, heightmap, maps, verdict=verdict, seconds=seconds)
+        return decided(chosen, heightmap, maps, verdict=verdict, considered=grasps, seconds=seconds)
 
     @torch.inference_mode()
     def p_success(self, heightmap: Heightmap, grasps: Sequence[Choice]) -> npt.NDArray[np.float64]:

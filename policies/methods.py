@@ -12,13 +12,13 @@ import numpy.typing as npt
 from policies.border import border_occupancy
 from policies.decide import (
     CONSIDERED,
-    Choice,
     choose_by_critic_one,
     choose_by_critic_two,
     choose_if_sure,
     choose_surest,
 )
 from policies.heightmap import Heightmap
+from policies.policy import Choice
 
 Rule = Callable[[Sequence[Choice], Choice | None, Heightmap], Choice | None]
 Judge = Callable[[Choice, Sequence[Choice], Choice | None, npt.NDArray[np.float64]], Choice]
@@ -35,8 +35,8 @@ class Method:
     many of the others. promising: of pushes only the most promising kind is considered. wedged: of
     grasps those too that may squeeze out what they close on.
     push_from: the value from which on a push is made for a goal before anything is lifted that is
-    in its way. foreseen: so many pushes for a goal are tried in simulation before one is made, by
-    whoever runs the policy in a cell."""
+    in its way. foreseen: grasps of a goal and pushes for it are tried in simulation before one is
+    made, so many pushes at most, by whoever runs the policy in a cell."""
 
     name: str
     choose: Rule | None
@@ -122,5 +122,5 @@ METHODS["tdpg-foreseen"] = replace(
     METHODS["tdpg-free"],
     name="tdpg-foreseen",
     judge_for_goal=partial(choose_if_sure, least=SURE_OF_GOAL_WHEN_FORESEEN),
-    foreseen=64,
+    foreseen=128,
 )

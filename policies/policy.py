@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,10 +29,21 @@ class QMaps:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One entry of the Q-maps."""
+
+    kind: Literal["grasp", "push"]
+    rotation: int
+    row: int
+    col: int
+    q: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class CriticVerdict:
     """What Critic II said of Critic I's choice (paper, eq. 2 and section III-B).
 
-    p_success: of the ten best grasps, best first. overruled: it swapped push and grasp.
+    p_success: of the grasps that were considered. overruled: it swapped push and grasp.
     """
 
     p_success: tuple[float, ...]
@@ -44,8 +55,9 @@ class Decision:
     """The chosen action, and why.
 
     rotation, row, col: its place in the Q-maps. q: its value.
-    verdict: None for methods without Critic II. seconds: wall time by part. foreseen: sure grasps
-    of the goal after this push, as simulation has it; None where it was not asked.
+    verdict: None for methods without Critic II. considered: grasps, best first. seconds: wall time
+    by part. p_foreseen: share of the simulated worlds in which this push frees the goal, or this
+    grasp takes it; None where simulation was not asked.
     """
 
     primitive: Primitive
@@ -55,8 +67,9 @@ class Decision:
     q: float
     maps: QMaps
     verdict: CriticVerdict | None
+    considered: tuple[Choice, ...] = ()
     seconds: dict[str, float]
-    foreseen: int | None = None
+    p_foreseen: float | None = None
 
 
 class Decider(Protocol):

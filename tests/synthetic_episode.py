@@ -120,7 +120,7 @@ class Synthetic:
             maps=QMaps(push=push_q, grasp=grasp_q),
             verdict=CriticVerdict(p_success=(0.8, 0.55, 0.1), overruled=push),
             seconds={"critic_1": 0.101, "critic_2": 0.021},
-            foreseen=41 if push else None,
+            p_foreseen=0.8 if push else None,
         )
 
     def plan(self, primitive: Primitive) -> Plan:

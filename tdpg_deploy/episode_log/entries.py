@@ -49,7 +49,7 @@ class LoggedDecision:
     pushes: tuple[Candidate, ...]
     grasps: tuple[Candidate, ...]
     maps_sha256: str
-    foreseen: int | None = None
+    p_foreseen: float | None = None
 
     @classmethod
     def of(cls, decision: Decision) -> LoggedDecision:
@@ -67,7 +67,7 @@ class LoggedDecision:
             pushes=_best_by_rotation(decision.maps.push),
             grasps=_best_by_rotation(decision.maps.grasp),
             maps_sha256=digest.hexdigest(),
-            foreseen=decision.foreseen,
+            p_foreseen=decision.p_foreseen,
         )
 
 

@@ -134,8 +134,8 @@ def _reasoning(intent: Intent) -> str:
     if verdict is not None:
         said = "overruled" if verdict.overruled else "agreed"
         parts.append(f"critic II {said}")
-    if intent.decision.foreseen is not None:
-        parts.append(f"{intent.decision.foreseen} sure grasps of the goal foreseen")
+    if intent.decision.p_foreseen is not None:
+        parts.append(f"foreseen to work in {intent.decision.p_foreseen:.0%} of the worlds")
     return ", ".join(parts)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -10,15 +10,17 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from scipy.spatial.transform import Rotation
 
 from policies.heightmap import Heightmap
-from policies.standing import Mask
+from policies.standing import Map, Mask
+from tdpg_deploy.foresight.rectangles import rectangle
 from tdpg_deploy.foresight.things import things
 from tdpg_deploy.geometry import Array, Transform
 from tdpg_deploy.sim.bodies import Shape, extrude
 from tdpg_deploy.sim.scenes import Scene, SceneObject
 
 INSET = 0.0005  # m by which outlines are drawn in: a map shows the highest point in each pixel
-RECTANGULAR = 0.85  # share of a rectangle that its pixels fill at least: corners are lost in noise
-FOOT = 0.5  # share of a thing's height below which its pixels are the blur of its border
+RIM = 0.006  # m below a flat top, where it ends: the side that faces the camera is seen, too
+FLAT = 0.85  # share of a thing's pixels that lie no deeper than that, if it is flat
+FOOT = 0.5  # share of another thing's height below which its pixels are the blur of its border
 THINNEST = 0.012  # m
 _NOISE = np.ones((3, 3), np.uint8)
 
@@ -35,7 +37,7 @@ def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
         shown = found == thing
         height = float(np.median(heightmap.height[shown]))
         red, green, blue = np.median(heightmap.color[shown], axis=0)
-        outline = _outline(shown & (heightmap.height > FOOT * height), heightmap)
+        outline = _outline(_top(shown, heightmap.height, height), heightmap)
         if outline is None:
             continue
         bottom, height = workspace.table_z, max(height, THINNEST)
@@ -51,28 +53,28 @@ def _solids(heightmap: Heightmap) -> Iterator[SceneObject]:
             )
 
 
-def _outline(shown: Mask, heightmap: Heightmap) -> Array | None:
+def _top(shown: Mask, height: Map, most: float) -> Mask:
+    """Pixels of a thing, `most` of which stand at this height, without the sides of it."""
+    foot = shown & (height > FOOT * most)
+    rim = shown & (height > most - RIM)
+    top = rim if rim.sum() >= FLAT * foot.sum() else foot
+    opened: Mask = cv2.morphologyEx(top.astype(np.uint8), cv2.MORPH_OPEN, _NOISE) > 0
+    return opened
+
+
+def _outline(top: Mask, heightmap: Heightmap) -> Array | None:
     """(n, 2) x, y in base of the corners of a convex outline; None of what is too small for one."""
-    rows, cols = np.nonzero(cv2.morphologyEx(shown.astype(np.uint8), cv2.MORPH_OPEN, _NOISE))
+    rows, cols = np.nonzero(top)
     if not len(rows):
         return None
-    middle, sides, turn = cv2.minAreaRect(np.column_stack([cols, rows]).astype(np.float32))
-    if len(rows) >= RECTANGULAR * (sides[0] + 1) * (sides[1] + 1):
-        box = cv2.boxPoints((middle, _with_area(sides, len(rows)), turn))
-        points = np.column_stack(heightmap.workspace.to_base(box[:, 1], box[:, 0]))
-    else:
-        points = np.column_stack(heightmap.workspace.to_base(rows, cols))
+    corners = rectangle(top)
+    if corners is not None:
+        cols, rows = corners.T
+    points = np.column_stack(heightmap.workspace.to_base(rows, cols))
     try:
         planes = ConvexHull(points).equations + np.array([0, 0, INSET])
-        corners = HalfspaceIntersection(planes, points.mean(axis=0)).intersections
-        outline: Array = corners[ConvexHull(corners).vertices]
+        drawn_in = HalfspaceIntersection(planes, points.mean(axis=0)).intersections
+        outline: Array = drawn_in[ConvexHull(drawn_in).vertices]
     except (QhullError, ValueError):  # hardly a pixel wide
         return None
     return outline
-
-
-def _with_area(sides: Sequence[float], area: float) -> tuple[float, float]:
-    """Both sides drawn in by as much, so that the rectangle has that area."""
-    a, b = sides
-    less = (a + b - np.sqrt(max((a + b) ** 2 - 4 * (a * b - area), 0.0))) / 2
-    return a - less, b - less

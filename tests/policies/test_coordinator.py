@@ -8,12 +8,12 @@ import torch
 from tables import goal_at, table_with
 
 from policies.coordinator import GRASP, PUSH, Coordinator, coordinated, situation
-from policies.decide import Choice
 from policies.heightmap import Heightmap
 from policies.learned import LearnedPolicy
 from policies.methods import METHODS
 from policies.networks.coordinated import CoordinatedNet
 from policies.networks.light import LightNet
+from policies.policy import Choice
 from policies.primitives import Grasp, Push
 
 ON_GOAL = Choice(kind="grasp", rotation=0, row=110, col=110, q=0.7)

@@ -7,7 +7,6 @@ import pytest
 from tables import table_with
 
 from policies.decide import (
-    Choice,
     best,
     best_grasps,
     choose_by_critic_one,
@@ -17,7 +16,7 @@ from policies.decide import (
     to_primitive,
 )
 from policies.heightmap import SIZE
-from policies.policy import HALF_TURN, ROTATIONS, QMaps
+from policies.policy import HALF_TURN, ROTATIONS, Choice, QMaps
 from policies.primitives import PUSH_LENGTH, Grasp, Push
 
 SHAPE = (ROTATIONS, SIZE, SIZE)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from tables import table_with
 
-from policies.decide import Choice, choose_by_critic_two
+from policies.decide import choose_by_critic_two
 from policies.heightmap import SIZE
 from policies.methods import METHODS
+from policies.policy import Choice
 
 GRASP = Choice(kind="grasp", rotation=0, row=0, col=0, q=1.2)
 PUSH = Choice(kind="push", rotation=0, row=0, col=0, q=1.5)

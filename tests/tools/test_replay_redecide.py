@@ -114,9 +114,9 @@ def test_a_push_that_was_foreseen_is_foreseen_again(tmp_path: Path) -> None:
     episode = read_episode(path)
     first, *_ = redecide(episode, policy.decider)
     assert isinstance(first.again[-1].decision.primitive, Push)
-    assert first.again[-1].decision.foreseen
-    assert [one.decision.foreseen for one in first.again] == [
-        one.decision.foreseen for one in first.logged
+    assert first.again[-1].decision.p_foreseen
+    assert [one.decision.p_foreseen for one in first.again] == [
+        one.decision.p_foreseen for one in first.logged
     ]
     assert diverging(episode, policy.decider) == []
 

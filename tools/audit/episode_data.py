@@ -71,8 +71,8 @@ def step_data(step: Step, findings: tuple[Finding, ...], cell: CellConfig) -> di
 
 
 def _foreseen(decision: LoggedDecision) -> list[str]:
-    grasps = decision.foreseen
-    return [] if grasps is None else [f"{grasps} sure grasps of the goal foreseen"]
+    share = decision.p_foreseen
+    return [] if share is None else [f"foreseen to work in {share:.0%} of the worlds"]
 
 
 def findings_data(findings: tuple[Finding, ...]) -> list[dict[str, str]]:

@@ -103,7 +103,7 @@ class ActionRecord:
     travelled: float
     p_success: float
     overruled: bool | None
-    foreseen: int | None
+    p_foreseen: float
     decide_seconds: float
     refusals: tuple[str, ...]
 
@@ -251,6 +251,7 @@ def _action(name: str, number: int, step: Step, findings: tuple[Finding, ...]) -
     decision = None if step.intent is None else step.intent.decision
     primitive = None if decision is None else decision.primitive
     verdict = None if decision is None else decision.verdict
+    p_foreseen = None if decision is None else decision.p_foreseen
     grasp = outcome if isinstance(outcome, GraspOutcome) else None
     push = outcome if isinstance(outcome, PushOutcome) else None
     return ActionRecord(
@@ -272,7 +273,7 @@ def _action(name: str, number: int, step: Step, findings: tuple[Finding, ...]) -
         travelled=NAN if push is None else push.travelled,
         p_success=NAN if verdict is None else max(verdict.p_success, default=NAN),
         overruled=None if verdict is None else verdict.overruled,
-        foreseen=None if decision is None else decision.foreseen,
+        p_foreseen=NAN if p_foreseen is None else p_foreseen,
         decide_seconds=NAN if decision is None else sum(decision.seconds.values()),
         refusals=tuple(refusal_cause(refusal.reason).value for refusal in step.refusals),
         **_found(findings),

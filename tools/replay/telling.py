@@ -88,8 +88,8 @@ def decision(made: LoggedDecision) -> str:
     if made.verdict is not None:
         said = "overruled" if made.verdict.overruled else "agreed"
         text += f", Critic II {said}, best P(success) {max(made.verdict.p_success):.2f}"
-    if made.foreseen is not None:
-        text += f", {made.foreseen} sure grasps of the goal foreseen"
+    if made.p_foreseen is not None:
+        text += f", foreseen to work in {made.p_foreseen:.0%} of the worlds"
     return f"{text}, {1000 * sum(made.seconds.values()):.0f} ms"
 
 

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from policies.decide import Choice, best_grasps, best_push, decided
+from policies.decide import best_grasps, best_push, decided
 from policies.errors import NoActionError
 from policies.heightmap import Heightmap
-from policies.policy import Decider, Decision, QMaps
+from policies.policy import Choice, Decider, Decision, QMaps
 from policies.primitives import Primitive
 from tools.train.config import StageKind
 

@@ -11,8 +11,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from policies.checkpoint import PolicyConfig, load_checkpoint, save_checkpoint
-from policies.decide import Choice
 from policies.networks.twin import TwinNet
+from policies.policy import Choice
 from tdpg_deploy.cell import open_cell
 from tdpg_deploy.cell_config import CellConfig
 from tdpg_deploy.errors import ConfigError

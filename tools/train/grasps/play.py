@@ -15,12 +15,12 @@ import numpy.typing as npt
 import torch
 
 from policies.checkpoint import load_checkpoint
-from policies.decide import Choice, best_grasps, to_primitive
+from policies.decide import best_grasps, to_primitive
 from policies.fingers import under_open_gripper
 from policies.heightmap import Heightmap
 from policies.learned import LearnedPolicy
 from policies.masks import AllowedMaps, graspable
-from policies.policy import HALF_TURN, Decision
+from policies.policy import HALF_TURN, Choice, Decision
 from policies.primitives import Primitive, Push
 from policies.standing import Mask
 from tdpg_deploy.cell import Cell, open_cell

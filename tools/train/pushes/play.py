@@ -16,11 +16,11 @@ import numpy.typing as npt
 import torch
 
 from policies.border import border_occupancy
-from policies.decide import Choice, best_apart, to_primitive
+from policies.decide import best_apart, to_primitive
 from policies.heightmap import SIZE, Heightmap
 from policies.learned import fastest_dtype
 from policies.networks.twin import PushNet
-from policies.policy import ROTATIONS
+from policies.policy import ROTATIONS, Choice
 from policies.pushable import all_pushes, pushable
 from policies.rotation import back_to_map, pictures
 from policies.standing import Map, rising
