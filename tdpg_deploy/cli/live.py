@@ -61,6 +61,9 @@ class Live:
         self.status.start()
         return answer.strip().lower() in ("y", "yes")
 
+    def observes(self) -> None:
+        self.status.update("deciding")
+
     def refused(self, reason: str) -> None:
         self._refused += 1
         self.status.update(f"refused: {reason}")
@@ -86,13 +89,15 @@ class Live:
         self.console.print(
             f"{self._line}  {MARKS[outcome.success]}{note}  [dim]{tally}[/]", soft_wrap=True
         )
-        self.status.update("looking")
 
 
 def describe(decision: Decision) -> str:
     kind = "grasp" if isinstance(decision.primitive, Grasp) else "push"
     p = decision.primitive
-    return f"{kind:5s} at ({p.x:.3f}, {p.y:+.3f}) m  q {decision.q:5.2f}"
+    text = f"{kind:5s} at ({p.x:.3f}, {p.y:+.3f}) m  q {decision.q:5.2f}"
+    if decision.p_foreseen is not None:
+        text += f"  foreseen {decision.p_foreseen:4.0%}"
+    return text
 
 
 def describe_step(step: Step) -> str:
@@ -119,6 +124,7 @@ class _Shown:
 
     def observe(self, frame: RgbdFrame, heightmap: Heightmap) -> None:
         self._recorder.observe(frame, heightmap)
+        self._live.observes()
 
     def refused(self, decision: Decision, reason: str, *, stamp: float) -> None:
         self._recorder.refused(decision, reason, stamp=stamp)

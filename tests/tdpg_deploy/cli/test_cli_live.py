@@ -10,7 +10,7 @@ from rich.console import Console
 
 from policies.policy import Decision, QMaps
 from policies.primitives import Push
-from tdpg_deploy.cli.live import Live, describe_step
+from tdpg_deploy.cli.live import Live, describe, describe_step
 from tdpg_deploy.geometry import top_down
 from tdpg_deploy.plan import MoveFingers, MoveJoints, MoveLinear, Plan
 
@@ -27,6 +27,25 @@ DESCEND = MoveLinear(
 CLOSE = MoveFingers(name="close", width=0.0, speed=0.1, force=20.0)
 PUSH = Push(x=0.5, y=-0.1, z=-0.15, yaw=0.0, length=0.1)
 PLAN = Plan(primitive=PUSH, approach=(ABOVE, CLOSE, DESCEND), notes=("push shortened",))
+
+
+def push(*, p_foreseen: float | None = None) -> Decision:
+    return Decision(
+        primitive=PUSH,
+        rotation=0,
+        row=0,
+        col=0,
+        q=0.7,
+        maps=QMaps(grasp=np.zeros((1, 1, 1), np.float32), push=np.zeros((1, 1, 1), np.float32)),
+        verdict=None,
+        seconds={},
+        p_foreseen=p_foreseen,
+    )
+
+
+def test_an_action_is_told_with_what_was_foreseen_of_it() -> None:
+    assert describe(push()) == "push  at (0.500, -0.100) m  q  0.70"
+    assert describe(push(p_foreseen=0.97)) == "push  at (0.500, -0.100) m  q  0.70  foreseen  97%"
 
 
 def test_a_step_is_told_in_a_line() -> None:
@@ -47,10 +66,7 @@ def test_the_plan_is_shown_and_the_first_action_asked_for(
     monkeypatch.setattr("builtins.input", lambda *_: answer)
     page = io.StringIO()
     live = Live(Console(file=page, width=120), objects=None)
-    maps = QMaps(grasp=np.zeros((1, 1, 1), np.float32), push=np.zeros((1, 1, 1), np.float32))
-    decision = Decision(
-        primitive=PUSH, rotation=0, row=0, col=0, q=0.7, maps=maps, verdict=None, seconds={}
-    )
+    decision = push()
     assert live.confirm_first(decision, PLAN) == agreed
     shown = page.getvalue()
     assert shown.index("push shortened") < shown.index("above") < shown.index("descend")
