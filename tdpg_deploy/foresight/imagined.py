@@ -35,14 +35,14 @@ FRICTION = 0.3  # share by which that of a world is less or more than likely, at
 
 
 class Imagined(Protocol):
-    """What was seen, to try actions on."""
+    """What was seen, to try actions on: in one world after the other, the likeliest first, as long
+    as whoever asks goes on."""
 
-    def takes_goal(self, grasp: Grasp) -> bool:
-        """Whether it would, in the likeliest world."""
+    def takes_goal(self, grasp: Grasp) -> Iterator[bool]:
+        """Whether it would."""
 
     def grasps_after(self, push: Push) -> Iterator[int]:
-        """How many pixels and rotations would be sure grasps of the goal after it: in one world
-        after the other, the likeliest first, as long as whoever asks goes on."""
+        """How many pixels and rotations would be sure grasps of the goal after it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +66,9 @@ class ImaginedTable:
             return None
         return cls(heightmap=heightmap, config=config, scene=scene)
 
-    def takes_goal(self, grasp: Grasp) -> bool:
-        tried = next(self._worlds_after(grasp))
-        return tried is not None and tried.held and not tried.goal_seen
+    def takes_goal(self, grasp: Grasp) -> Iterator[bool]:
+        for tried in self._worlds_after(grasp):
+            yield tried is not None and tried.held and not tried.goal_seen
 
     def grasps_after(self, push: Push) -> Iterator[int]:
         for tried in self._worlds_after(push):

@@ -22,6 +22,7 @@ from tdpg_deploy.foresight.policy import (
     FREE,
     SOME,
     TRUSTED,
+    UNLIKELY,
     ForeseeingPolicy,
     with_foresight,
 )
@@ -77,16 +78,23 @@ class Chooses:
 class Foresees:
     """What it is told of each push and grasp, in the order in which it is asked for them."""
 
-    def __init__(self, *pushes: Sequence[int], grasps: Sequence[bool] = ()) -> None:
+    def __init__(
+        self, *pushes: Sequence[int], grasps: Sequence[bool] = (), everywhere: bool = True
+    ) -> None:
         self.pushes = iter(pushes)
+        self.holds_everywhere = everywhere
         self.grasps = iter(grasps)
         self.asked: list[Push] = []
         self.asked_of: list[Grasp] = []
         self.worlds = 0
 
-    def takes_goal(self, grasp: Grasp) -> bool:
+    def takes_goal(self, grasp: Grasp) -> Iterator[bool]:
+        """In the first world as it is told; in later ones if it is told that it holds there."""
         self.asked_of.append(grasp)
-        return next(self.grasps, False)
+        yield next(self.grasps, False)
+        while True:
+            self.worlds += 1
+            yield self.holds_everywhere
 
     def grasps_after(self, push: Push) -> Iterator[int]:
         self.asked.append(push)
@@ -210,9 +218,22 @@ def test_so_is_one_that_critic_two_doubts() -> None:
     assert decision.p_foreseen == 1.0
 
 
+@pytest.mark.parametrize("holds", [True, False])
+def test_one_that_it_gives_less_is_made_if_it_takes_the_goal_in_all_worlds(holds: bool) -> None:
+    foresees = Foresees(everywhere(PLENTY), grasps=[True], everywhere=holds)
+    decision = decide(foresees, Chooses(DOUBTFUL - 0.01))
+    assert isinstance(decision.primitive, Grasp) == holds
+
+
+def test_where_it_gives_enough_one_world_is_asked() -> None:
+    foresees = Foresees(grasps=[True], everywhere=False)
+    assert isinstance(decide(foresees, Chooses(DOUBTFUL)).primitive, Grasp)
+    assert foresees.worlds == 0
+
+
 def test_but_not_one_that_it_gives_little() -> None:
     foresees = Foresees(everywhere(PLENTY), grasps=[True])
-    assert isinstance(decide(foresees, Chooses(DOUBTFUL - 0.01)).primitive, Push)
+    assert isinstance(decide(foresees, Chooses(UNLIKELY - 0.01)).primitive, Push)
     assert not foresees.asked_of
 
 
@@ -236,7 +257,7 @@ def test_and_without_a_push_that_does_the_policy_has_its_way() -> None:
 
 def test_what_is_in_the_way_is_lifted_unasked() -> None:
     foresees = Foresees(everywhere(PLENTY))
-    decision = decide(foresees, Chooses(0.5, beside=0.99, grasps=1))
+    decision = decide(foresees, Chooses(0.2, beside=0.99, grasps=1))
     assert col_of(decision) == 50
     assert decision.p_foreseen is None
     assert not foresees.asked
