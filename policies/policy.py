@@ -56,8 +56,8 @@ class Decision:
 
     rotation, row, col: its place in the Q-maps. q: its value.
     verdict: None for methods without Critic II. considered: grasps, best first. seconds: wall time
-    by part. p_foreseen: share of the simulated worlds in which this push frees the goal, or this
-    grasp takes it; None where simulation was not asked.
+    by part. p_foreseen: how likely, by simulation, this push frees the goal, or this grasp takes
+    it; None where simulation was not asked.
     """
 
     primitive: Primitive

@@ -135,7 +135,7 @@ def _reasoning(intent: Intent) -> str:
         said = "overruled" if verdict.overruled else "agreed"
         parts.append(f"critic II {said}")
     if intent.decision.p_foreseen is not None:
-        parts.append(f"foreseen to work in {intent.decision.p_foreseen:.0%} of the worlds")
+        parts.append(f"foreseen to work: {intent.decision.p_foreseen:.0%}")
     return ", ".join(parts)
 
 

@@ -72,7 +72,7 @@ def step_data(step: Step, findings: tuple[Finding, ...], cell: CellConfig) -> di
 
 def _foreseen(decision: LoggedDecision) -> list[str]:
     share = decision.p_foreseen
-    return [] if share is None else [f"foreseen to work in {share:.0%} of the worlds"]
+    return [] if share is None else [f"foreseen to work: {share:.0%}"]
 
 
 def findings_data(findings: tuple[Finding, ...]) -> list[dict[str, str]]:

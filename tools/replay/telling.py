@@ -89,7 +89,7 @@ def decision(made: LoggedDecision) -> str:
         said = "overruled" if made.verdict.overruled else "agreed"
         text += f", Critic II {said}, best P(success) {max(made.verdict.p_success):.2f}"
     if made.p_foreseen is not None:
-        text += f", foreseen to work in {made.p_foreseen:.0%} of the worlds"
+        text += f", foreseen to work: {made.p_foreseen:.0%}"
     return f"{text}, {1000 * sum(made.seconds.values()):.0f} ms"
 
 
