@@ -71,8 +71,8 @@ def step_data(step: Step, findings: tuple[Finding, ...], cell: CellConfig) -> di
 
 
 def _foreseen(decision: LoggedDecision) -> list[str]:
-    share = decision.p_foreseen
-    return [] if share is None else [f"foreseen to work: {share:.0%}"]
+    p = decision.p_foreseen
+    return [] if p is None else [f"foreseen to work: {p:.0%}"]
 
 
 def findings_data(findings: tuple[Finding, ...]) -> list[dict[str, str]]:
